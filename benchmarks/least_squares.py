@@ -45,8 +45,9 @@ def rig_errors(seed: int, place: int) -> list[tuple[str, str, float, float]]:
         truth = truth_of(rig, setting)
         off = {one["key"]: one["configured"] / one["true"] for one in truth["rig_off"]}
         true = {"B": truth["B"] * off["area_1"], "beta_e": truth["beta_e"] * off["volume_1"]}
-        judged = {name: one for name, one in answer.best.items() if name not in answer.doubted}
-        for who, values in (("stages", answer.parameters), ("judged", judged)):
+        judged = {name: one for name, one in answer.parameters.items()
+                  if name not in answer.doubted}
+        for who, values in (("stages", answer.by_stages), ("judged", judged)):
             found += [(name, who, one.value / true[name] - 1.0,
                        (one.value - true[name]) / one.stddev)
                       for name, one in values.items() if one.status == "converged"]

@@ -5,9 +5,11 @@ astray (dry friction reads as thousands of N·s/m).
 """
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from diagnostic_msgs.msg import DiagnosticStatus
 from rig_tools import BETA, CHIRP, MULTISINE, SINE, TRIANGLE, B, settings, simulated, without
 
 from eha_monitor.api.answer import answer, judged, judged_series
@@ -17,8 +19,17 @@ from eha_monitor.balances.machine import healthy_machine
 from eha_monitor.balances.parameters import LEAST_S, along, parameters_of
 from eha_monitor.estimation.model_watch import tainted_by
 from eha_monitor.estimation.pipeline import estimate
-from eha_monitor.estimation.results import Mismatch
+from eha_monitor.estimation.results import (
+    LOOK_S,
+    Beside,
+    Mismatch,
+    ModelStatus,
+    ParameterEstimate,
+    Taint,
+    stands,
+)
 from eha_monitor.live.estimator import LiveEstimator
+from eha_monitor.ros.messages import estimates
 
 FAST = {**MULTISINE, "amplitude": 0.01, "frequency": 0.5, "frequency_end": 40.0, "components": 16}
 MOTIONS = {"multisine": MULTISINE, "triangle": TRIANGLE, "fast": FAST, "chirp": CHIRP}
@@ -127,14 +138,17 @@ def test_looks_come_with_the_first_seconds_and_at_the_end(dry):
 def test_an_estimate_that_does_not_fit_is_judged_by_least_squares(dry):
     found = estimate(dry, settings())
     assert found.model.status == "mismatch" and found.stage_one.estimate.value > 4.0 * B
-    assert found.best["B"].value == pytest.approx(B, rel=0.02) and "B" not in found.doubted
+    assert found.parameters["B"].value == pytest.approx(B, rel=0.02) and "B" not in found.doubted
     alarms, history = judged(found)
     high = alarms[0]
     assert (high.name, high.word) == ("viscous_damping_high", "OK")
     assert "by least squares on the force balance: the model does not fit since" in high.message
     tree = json.loads(json.dumps(answer(found, alarms, history)))
     assert tree["model"]["tainted"]["B"]["instead"]["value"] == pytest.approx(B, rel=0.02)
-    assert tree["parameters"]["B"]["value"] == found.stage_one.estimate.value
+    said = tree["parameters"]["B"]
+    assert said["value"] == tree["model"]["tainted"]["B"]["instead"]["value"]
+    assert (said["by"], said["in_doubt"]) == ("least squares", False)
+    assert tree["stages"]["one"]["value"] == found.stage_one.estimate.value
     assert tree["least_squares"][-1]["parameters"]["B"]["status"] == "converged"
     series = judged_series(found)["B"]
     known = series.value[series.converged]
@@ -151,7 +165,34 @@ def test_wear_beside_a_mismatch_raises_its_alarm():
 def test_where_the_model_fits_nothing_is_looked_at():
     found = estimate(simulated(MULTISINE, 6.0).recording(0), settings())
     assert found.model.status == "consistent"
-    assert found.beside == () and found.best == found.parameters and not found.doubted
+    assert found.beside == () and found.by_stages == found.parameters and not found.doubted
+
+
+def test_a_look_stands_for_as_long_as_its_rows_are_among_the_last():
+    known = {"B": ParameterEstimate("B", 600.0, 6.0, "N·s/m", "converged")}
+    looks = (Beside(5.0, known), Beside(7.0, {}), Beside(30.0, {}))
+    assert stands(looks, 4.9, "B") is None and stands(looks, 5.0, "B") is known["B"]
+    assert stands(looks, 7.5, "B") is known["B"] and stands(looks, 7.5, "beta_e") is None
+    assert stands(looks, 5.0 + LOOK_S, "B") is known["B"]
+    assert stands(looks, 5.1 + LOOK_S, "B") is None and stands((), 5.0, "B") is None
+
+
+def test_what_is_published_is_what_stands_and_says_by_what():
+    by_stages = {"B": ParameterEstimate("B", 1305.0, 16.0, "N·s/m", "converged"),
+                 "beta_e": ParameterEstimate("beta_e", 7e8, 1e7, "Pa", "converged")}
+    instead = replace(by_stages["B"], value=600.0, stddev=10.0)
+    model = ModelStatus("mismatch", "", (), {
+        "B": Taint("the model does not fit", 0.4, instead=instead),
+        "beta_e": Taint("the model does not fit", 0.4)})
+    message = estimates(0, "rig", model.best(by_stages).values(), model, "rig")
+    damping, modulus = ({pair.key: pair.value for pair in status.values}
+                        for status in message.status)
+    assert (float(damping["value"]), damping["by"], damping["in_doubt"]) == (
+        600.0, "least squares", "0")
+    assert (float(modulus["value"]), modulus["by"], modulus["in_doubt"]) == (
+        7e8, "stage two", "1")
+    assert [status.level for status in message.status] == [
+        DiagnosticStatus.OK, DiagnosticStatus.WARN]
 
 
 def test_stage_two_holds_the_force_balance_too():
@@ -170,5 +211,5 @@ def test_live_as_offline(dry):
             name: values[start:start + 100] for name, values in dry.channels.items()})
     taint = live.snapshot().model.tainted["B"]
     assert taint.instead.status == "converged"
-    offline = estimate(dry, settings()).best["B"]
+    offline = estimate(dry, settings()).parameters["B"]
     assert taint.instead.value == pytest.approx(offline.value, rel=0.02)

@@ -96,7 +96,7 @@ def test_offline_the_answer_says_what_is_tainted_and_holds_its_alarms():
     assert tree["status"] == "mismatch"
     assert tree["mismatches"][0]["stage"] == "one" and tree["mismatches"][0]["since_s"] < 0.5
     assert tree["tainted"]["B"]["reason"].startswith("the model does not fit since t = ")
-    assert found.parameters["B"].value > 1500
+    assert found.by_stages["B"].value > 1500
     assert not any(a.raised for a in history if a.name == "viscous_damping_high")
     # By the filter alone it must be seen, and is no judgement.
     assert [(a.level, a.not_judged) for a in history

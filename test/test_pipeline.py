@@ -197,7 +197,7 @@ def test_dry_friction_is_a_mismatch_until_it_is_known(shape):
     recording = simulated(shape, 12.0, effects=friction).recording(0)
     found = answer(recording)
     assert found.model.status == "mismatch" and "force balance" in found.model.message
-    assert found.parameters["B"].value > 750.0  # B + F_c/v on a triangle
+    assert found.by_stages["B"].value > 750.0  # B + F_c/v on a triangle
     known = answer(recording, effects=friction)
     within(known.parameters["B"], 600.0, 0.01)
     within(known.parameters["beta_e"], BETA, 0.02)
@@ -207,7 +207,7 @@ def test_dry_friction_is_a_mismatch_until_it_is_known(shape):
 def test_on_a_triangle_dry_friction_reads_as_its_force_over_the_speed():
     found = answer(simulated(TRIANGLE, 12.0, effects={"coulomb_friction": {"F_c": 10.0}}
                              ).recording(0))
-    assert found.parameters["B"].value == pytest.approx(600 + 10 / 0.04, rel=0.03)
+    assert found.by_stages["B"].value == pytest.approx(600 + 10 / 0.04, rel=0.03)
 
 
 def test_known_load_and_leakage_are_taken_out():

@@ -62,7 +62,9 @@ def test_value_deviation_unit_and_status_come_in_one_stamped_message(graph):
     assert (float(damping["value"]), float(damping["stddev"])) == (Odd.B, Odd.STDDEV)  # to the bit
     assert old[-1].data == Odd.B and damping["unit"] == "N·s/m"
     assert damping["status"] == "converged"
-    assert values(last, "bench: bulk_modulus") == {"unit": "Pa", "status": "no_data"}
+    assert (damping["by"], damping["in_doubt"]) == ("stage one", "0")
+    assert values(last, "bench: bulk_modulus") == {
+        "unit": "Pa", "status": "no_data", "by": "stage two", "in_doubt": "0"}
     assert levels(last) == {"bench: viscous_damping": DiagnosticStatus.OK,
                             "bench: bulk_modulus": DiagnosticStatus.STALE}
     assert [status.message for status in last.status] == ["B has converged",

@@ -8,12 +8,14 @@ import numpy as np
 from eha_monitor.estimation.inputs import time_of
 from eha_monitor.estimation.joint import ObservabilityTable
 from eha_monitor.estimation.results import (
+    NEAR_S,
     Estimate,
     ParameterEstimate,
     StageResult,
     converged_where,
+    stands,
 )
-from eha_monitor.health.alarms import NEAR_S, Alarm, ParameterSeries, judge_series
+from eha_monitor.health.alarms import Alarm, ParameterSeries, judge_series
 from eha_monitor.output import finite
 from eha_monitor.recordings.columns import blocks
 from eha_monitor.recordings.recording import Recording
@@ -54,13 +56,13 @@ def judged_series(found: Estimate) -> dict[str, ParameterSeries]:
         one = series[name]
         if not len(one.value):
             continue
-        looks = [beside.determined(name) for beside in found.beside]
+        looks = [stands(found.beside, at, name) for at in times]
         place = np.searchsorted(times, time - time[0] + NEAR_S, side="right")
         value, stddev = (np.array([math.nan, *(
             getattr(look, key) if look else math.nan for look in looks)])[place]
             for key in ("value", "stddev"))
         series[name] = ParameterSeries(
-            found.best[name] if taint.instead else replace(one.final, status="not_excited"),
+            found.parameters[name] if taint.instead else replace(one.final, status="not_excited"),
             value, stddev, np.isfinite(value))
     return series
 
@@ -81,7 +83,9 @@ def answer(found: Estimate, alarms: tuple[Alarm, ...], history: tuple[Alarm, ...
         "samples": len(recording),
         "duration_s": recording.duration,
         "wall_s": found.wall_s,
-        "parameters": {name: _parameter(p) for name, p in found.parameters.items()},
+        "parameters": {name: {**_parameter(p), "by": found.model.origin(name),
+                              "in_doubt": found.model.in_doubt(name)}
+                       for name, p in found.parameters.items()},
         "alarms": [asdict(alarm) for alarm in alarms],
         "model": asdict(found.model),
         "stages": {stage.stage: _stage(stage) for stage in (found.stage_one, found.stage_two)},
@@ -126,7 +130,7 @@ def _parameter(p: ParameterEstimate) -> dict:
 
 
 def _stage(stage: StageResult) -> dict:
-    return {"parameter": stage.estimate.name,
+    return {"parameter": stage.estimate.name, **_parameter(stage.estimate),
             "consistency": asdict(stage.consistency) if stage.consistency else None}
 
 

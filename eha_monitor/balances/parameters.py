@@ -33,7 +33,7 @@ from eha_monitor.balances.course import (
 )
 from eha_monitor.balances.together import pooled
 from eha_monitor.errors import InputError
-from eha_monitor.estimation.results import ONE, TWO, Beside, ParameterEstimate
+from eha_monitor.estimation.results import LOOK_S, ONE, TWO, Beside, ParameterEstimate
 from eha_monitor.estimation.rig_model import force_of
 from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.recordings.recording import Recording, rows_of, sample_of
@@ -41,7 +41,7 @@ from eha_monitor.settings.monitor import Settings
 from eha_monitor.settings.rig import Rig
 
 CLEAR = 5.0  # times the noise of a regressor: its noise then draws the parameter by 4 % at most
-WINDOW_S, LEAST_S, EVERY_S = 20.0, 5.0, 2.0  # how much is looked at, and how often
+LEAST_S, EVERY_S = 5.0, 2.0  # of rows that a first look needs, and how often one is made
 MOST = 200  # looks at one recording
 WIDE = 1.0  # of the top speed, over which friction may fall as well, beside ``SLOW`` ...
 FALL = 0.5  # ... by so much of itself: what a Stribeck curve does
@@ -78,11 +78,11 @@ def parameters_of(recording: Recording, settings: Settings) -> dict[str, Paramet
 
 
 def along(recording: Recording, settings: Settings) -> Iterator[Beside]:
-    """Yield B and beta_e of the last ``WINDOW_S`` every ``EVERY_S`` s, as live, and at the end."""
+    """Yield B and beta_e of the last ``LOOK_S`` every ``EVERY_S`` s, as live, and at the end."""
     rows, dt = len(recording), recording.sample_time
     every = max(round(EVERY_S / dt), -(-rows // MOST))
     for stop in sorted({*range(round(LEAST_S / dt), rows, every), rows}):
-        start = max(0, stop - round(WINDOW_S / dt))
+        start = max(0, stop - round(LOOK_S / dt))
         yield Beside((stop - 1) * dt, parameters_of(rows_of(recording, start, stop), settings))
 
 

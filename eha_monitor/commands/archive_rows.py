@@ -265,7 +265,7 @@ def _at_reference(found: "Estimate") -> dict:
     from eha_monitor.health.alarms import viscosity_factor
 
     warmth = found.recording.get("temperature")
-    warmth, damping = warmth[np.isfinite(warmth)], found.best["B"]
+    warmth, damping = warmth[np.isfinite(warmth)], found.parameters["B"]
     if not len(warmth):
         return {}
     row = {"temperature_C": float(warmth[-1])}

@@ -103,6 +103,7 @@ async def ask_for_acknowledgement(state: State, alarm: str) -> None:
     dialog.on("hide", dialog.delete)
 
 
+_SECTIONS = {watched.symbol: watched.section for watched in WATCHED}
 # Where the scale of the drawing shrinks: not at each pause of the motion.
 _SHRINK = 4.0
 # Rows of a line: more than a chart has pixels are not sent.
@@ -281,9 +282,11 @@ class Detail:
         number = words.shown(view.value[symbol], view.stddev[symbol], self._scales[symbol])
         for part in ("value", "stddev", "unit"):
             figure[part].set_text(getattr(number, part))
-        figure["status"].set_text(words.stage_status(view, stage))
+        status, doubted = words.estimate_status(view, _SECTIONS[symbol], stage)
+        figure["status"].set_text(status)
         monitor = self.state.settings.monitor
-        old = monitor.stale_after + 1.0 / monitor.publish_rate < view.silence[symbol] < math.inf
+        old = doubted or (
+            monitor.stale_after + 1.0 / monitor.publish_rate < view.silence[symbol] < math.inf)
         if old != ("old" in figure["card"].classes):
             figure["card"].classes(**{"add" if old else "remove": "old"})
 

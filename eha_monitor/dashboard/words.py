@@ -199,14 +199,25 @@ def _local_times(finding: Finding) -> str:
     return text
 
 
-def stage_status(view: state.View, stage: str) -> str:
-    """Return the status of a parameter in words: converged, not excited, ..."""
+def estimate_status(view: state.View, section: str, stage: str) -> tuple[str, bool]:
+    """Return the status of a parameter in words, and whether its value must not be used.
+
+    Parameters
+    ----------
+    section : of its alarms; ``stage`` that estimates it, by name.
+    """
     finding = view.findings.get(stage)
     status = str(finding.values.get("status", "")) if finding else ""
     if finding is None or not status:
-        return "no data yet"
-    words = _STATUS_WORDS.get(status, status)
-    return f"{words} (last heard)" if finding.level == "STALE" else words
+        return "no data yet", False
+    words, doubted = _STATUS_WORDS.get(status, status), False
+    judged = next((one.values for name, one in view.findings.items()
+                   if name.startswith(section) and int(one.values.get("tainted") or 0)), {})
+    if judged:
+        doubted = not int(judged.get("by_least_squares") or 0)
+        words = ("in doubt: the model does not fit" if doubted
+                 else "by least squares: the model does not fit")
+    return (f"{words} (last heard)" if finding.level == "STALE" else words), doubted
 
 
 def model_status(view: state.View) -> str:

@@ -467,7 +467,7 @@ def without_drive(estimate: Estimate) -> dict[str, float]:
     The pump's flow is unknown then, so the flow balance says nothing about beta_e and L; the
     force balance is stage one, whose covariance is the bound of B.
     """
-    b = estimate.parameters["B"]
+    b = estimate.by_stages["B"]
     told = b.status == "converged" and b.value != 0.0
     return {"B": float(b.stddev / abs(b.value)) if told else np.inf, "beta_e": np.inf,
             "L": np.inf}
@@ -490,7 +490,7 @@ class Bound:
         self.channels, self.estimate, self.inputs = channels, estimate, inputs
         self.driven = "x_d" in channels or "omega" in channels
         model, rig = inputs.model, estimate.settings.rig
-        damping, modulus = (estimate.parameters[name] for name in ("B", "beta_e"))
+        damping, modulus = (estimate.by_stages[name] for name in ("B", "beta_e"))
         b = damping.value if damping.status == "converged" else rig.viscous_damping
         beta = modulus.value if modulus.status == "converged" else rig.bulk_modulus
         self._values = np.array([max(abs(b), 1e-9), model.beta_0 / beta, max(model.leak, 1e-15)])

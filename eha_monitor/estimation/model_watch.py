@@ -7,19 +7,21 @@ that is used there is neither right nor wrong, and what is estimated beside it d
 
 import math
 from collections import deque
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 
 import numpy as np
 
 from eha_monitor.estimation.results import (
+    Beside,
     Consistency,
     JointResult,
     Mismatch,
     ModelStatus,
     ParameterEstimate,
     Taint,
+    stands,
 )
 from eha_monitor.physics.own_term import BY_ANGLE, OF, OF_UNITS
 from eha_monitor.quantity import quantity, share
@@ -173,9 +175,8 @@ class Trial:
 
 
 def tainted_by(mismatches: Iterable[Mismatch],
-               beside: Mapping[str, ParameterEstimate] = MappingProxyType({}),
-               parameters: Mapping[str, ParameterEstimate] = MappingProxyType({})
-               ) -> dict[str, Taint]:
+               parameters: Mapping[str, ParameterEstimate] = MappingProxyType({}),
+               looks: Sequence[Beside] = (), elapsed_s: float = 0.0) -> dict[str, Taint]:
     """Return which of ``B`` and ``beta_e`` the mismatches that stand put in doubt, and why.
 
     Stage two holds the force balance as well, so what that lacks moves beta_e too.  A stage that
@@ -184,8 +185,9 @@ def tainted_by(mismatches: Iterable[Mismatch],
     Parameters
     ----------
     mismatches : those that stand.
-    beside : what least squares determine (:mod:`balances.parameters`).
     parameters : of the stages.
+    looks : least squares on the balances (:mod:`balances.parameters`), in order of time; what
+        stands of them at ``elapsed_s`` (s).
     """
     found: dict[str, Taint] = {}
     for mismatch in sorted(mismatches, key=lambda m: _ORDER.index(m.stage)):
@@ -194,18 +196,19 @@ def tainted_by(mismatches: Iterable[Mismatch],
         if mismatch.stage in ("one", "joint"):
             found["B"] = taint
         found["beta_e"] = taint  # its own reason goes before that of B
-    known = {name: one for name, one in beside.items() if one.status == "converged"}
+    known = {name: one for name in parameters
+             if (one := stands(looks, elapsed_s, name)) is not None}
     if found:
         since = min(taint.since_s for taint in found.values())
         found = {name: Taint(f"least squares give {one.shown}", since)
                  for name, one in known.items()
-                 if _contradicts(parameters.get(name), one)} | found
+                 if _contradicts(parameters[name], one)} | found
     return {name: replace(taint, instead=known.get(name)) for name, taint in found.items()}
 
 
-def _contradicts(estimate: ParameterEstimate | None, other: ParameterEstimate) -> bool:
+def _contradicts(estimate: ParameterEstimate, other: ParameterEstimate) -> bool:
     """Tell whether a stage's value is farther from another than both may be off."""
-    return estimate is not None and estimate.status == "converged" and (
+    return estimate.status == "converged" and (
         abs(estimate.value - other.value)
         > FAR * math.hypot(estimate.stddev, other.stddev) + MOVED * abs(other.value))
 

@@ -272,7 +272,7 @@ def tested_model(status: ModelStatus, stages: tuple[StageResult, StageResult],
     Parameters
     ----------
     status : the verdict alone.
-    beside : least squares along the recording; the last one stands for its end.
+    beside : least squares along the recording; what stands of them at its end.
     """
     if status.status != "mismatch":
         return status
@@ -281,8 +281,8 @@ def tested_model(status: ModelStatus, stages: tuple[StageResult, StageResult],
     if not found:
         found = [Mismatch("joint", BALANCE["joint"], 0.0, np.nan, np.nan, np.nan, status.message)]
     return replace(status, mismatches=tuple(found), tainted=tainted_by(
-        found, beside[-1].parameters if beside else {},
-        {stage.estimate.name: stage.estimate for stage in stages}))
+        found, {stage.estimate.name: stage.estimate for stage in stages}, beside,
+        beside[-1].time_s if beside else 0.0))
 
 
 def warnings_of(inputs: Inputs, settings: Settings) -> list[str]:

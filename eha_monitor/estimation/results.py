@@ -1,7 +1,8 @@
 """What estimation returns: immutable records with a status and a sentence."""
 
+import bisect
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -14,6 +15,8 @@ from eha_monitor.settings.monitor import Settings
 CONVERGED = 0.10  # relative standard deviation
 GAINED = 2.0  # so many times sharper than the prior, or the motion has told nothing
 NEGATIVE = 3.0  # standard deviations below zero that no physical coefficient can be
+LOOK_S = 20.0  # of rows that least squares look at: for so long a look may stand
+NEAR_S = 1e-6  # s: two times are the same
 HUGE = 100.0  # times the prior and its sigma: no longer a coefficient of this rig
 BALANCE = {"one": "force balance or a sensor", "two": "flow balance, drive or a sensor",
            "joint": "a sensor's scale or the pump"}
@@ -191,6 +194,16 @@ class ModelStatus:
         instead = {name: taint.instead for name, taint in self.tainted.items()}
         return {name: instead.get(name) or one for name, one in parameters.items()}
 
+    def origin(self, symbol: str) -> str:
+        """Return what a parameter of :attr:`best` comes from: ``least squares`` or its stage."""
+        taint = self.tainted.get(symbol)
+        return "least squares" if taint and taint.instead else _STAGE_OF[symbol]
+
+    def in_doubt(self, symbol: str) -> bool:
+        """Tell whether a parameter of :attr:`best` is in doubt all the same."""
+        taint = self.tainted.get(symbol)
+        return taint is not None and not taint.testing and taint.instead is None
+
 
 @dataclass(frozen=True)
 class LiveSnapshot:
@@ -237,6 +250,25 @@ class Beside:
         return found if found is not None and found.status == "converged" else None
 
 
+def stands(looks: Sequence[Beside], elapsed_s: float, symbol: str) -> ParameterEstimate | None:
+    """Return what the last look before a time that determined a parameter made of it.
+
+    A look stands for as long as the rows that it was made of are partly among the last: from look
+    to look the same motion is now just enough, now just not.  None where there is none.
+
+    Parameters
+    ----------
+    looks : in order of time.
+    """
+    place = bisect.bisect_right(looks, elapsed_s + NEAR_S, key=lambda one: one.time_s)
+    for one in reversed(looks[:place]):
+        if elapsed_s - one.time_s > LOOK_S:
+            break
+        if (found := one.determined(symbol)) is not None:
+            return found
+    return None
+
+
 @dataclass(frozen=True)
 class Estimate:
     """Everything that ``estimate`` finds in one recording.
@@ -259,18 +291,18 @@ class Estimate:
     beside: tuple[Beside, ...] = ()
 
     @property
-    def parameters(self) -> dict[str, ParameterEstimate]:
-        """``B`` of stage one and ``beta_e`` of stage two."""
+    def by_stages(self) -> dict[str, ParameterEstimate]:
+        """``B`` of stage one and ``beta_e`` of stage two, in doubt or not."""
         return {"B": self.stage_one.estimate, "beta_e": self.stage_two.estimate}
 
     @property
-    def best(self) -> dict[str, ParameterEstimate]:
-        """The same, by least squares on the balances where the stages' values are in doubt."""
-        return self.model.best(self.parameters)
+    def parameters(self) -> dict[str, ParameterEstimate]:
+        """``B`` and ``beta_e``: of the stages, and by least squares where those are in doubt."""
+        return self.model.best(self.by_stages)
 
     @property
     def doubted(self) -> dict[str, Taint]:
-        """What of :attr:`best` is in doubt all the same."""
+        """What of :attr:`parameters` is in doubt all the same."""
         return {name: taint for name, taint in self.model.tainted.items()
                 if taint.instead is None}
 
@@ -373,3 +405,4 @@ TWO = Stage("two", "stage two", "beta_e",
             "the flow balance or the drive lacks an effect, a sensor is late or wrong, or B is "
             "wrong here", 3, 5, 6, 7)
 STAGES = {stage.key: stage for stage in (ONE, TWO)}
+_STAGE_OF = {stage.parameter: stage.words for stage in STAGES.values()}

@@ -9,7 +9,6 @@ that a model mismatch taints is judged by least squares on its balance
 (``monitor.on_mismatch``).
 """
 
-import bisect
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -17,7 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from eha_monitor.estimation.model_watch import Trial
-from eha_monitor.estimation.results import Beside, ParameterEstimate, Taint, units_of
+from eha_monitor.estimation.results import Beside, ParameterEstimate, Taint, stands, units_of
 from eha_monitor.health.judge import (
     NO_LIMIT,
     NOT_JUDGED,
@@ -288,7 +287,6 @@ def viscosity_factor(viscosity: Viscosity, temperature: float) -> float:
 # Judgements per second, as live; health changes over seconds, and hold times are tenths of one.
 JUDGE_RATE = 10.0
 STEPS = 100_000  # from which the rate is taken
-NEAR_S = 1e-6  # s: two times are the same
 
 
 @dataclass(frozen=True)
@@ -365,16 +363,10 @@ def judge_series(settings: Settings, time: np.ndarray, parameters: dict[str, Par
             else:
                 row[symbol] = unjudged[symbol]
         doubts = {} if k == len(index) - 1 else _trials(trials, at, row)
-        doubts |= {name: replace(taint, instead=_latest(beside, at - float(time[0]), name))
+        doubts |= {name: replace(taint, instead=stands(beside, at - float(time[0]), name))
                    for name, taint in (tainted or {}).items() if at >= taint.since_s}
         board.update(at, row, None if warmth is None else warmth[k], doubts)
     return board.alarms, tuple(board.history)
-
-
-def _latest(beside: Sequence[Beside], elapsed_s: float, symbol: str) -> ParameterEstimate | None:
-    """Return what the last look before a time determined of a parameter."""
-    place = bisect.bisect_right(beside, elapsed_s, key=lambda one: one.time_s - NEAR_S) - 1
-    return beside[place].determined(symbol) if place >= 0 else None
 
 
 def _trials(trials: dict[str, Trial], time_s: float, row: dict[str, ParameterEstimate]

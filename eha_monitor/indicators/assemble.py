@@ -70,7 +70,7 @@ class Evidence:
 def evidence_of_estimate(found: Estimate) -> Evidence:
     """Return the evidence of an estimate: what converged, after the last change of a stage."""
     values, variances, why = {}, [], {}
-    parameters, doubts = dict(found.best), found.doubted
+    parameters, doubts = dict(found.parameters), found.doubted
     if found.joint is not None:
         parameters["leakage"] = found.joint.parameters["L"]
         # Stage two takes the config's leakage for true: where another one leads it astray, the

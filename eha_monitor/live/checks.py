@@ -19,7 +19,9 @@ from eha_monitor.estimation.inputs import StageInputs
 from eha_monitor.estimation.model_watch import StageWatch, Trial, model_status, tainted_by
 from eha_monitor.estimation.results import (
     CONVERGED,
+    LOOK_S,
     STAGES,
+    Beside,
     Consistency,
     LiveSnapshot,
     Mismatch,
@@ -227,7 +229,7 @@ class LiveModel:
     verdicts : on the last window of each stage, None where it could not be judged.
     first : row from which on a stage is judged; what came before was explained otherwise.
     trying : when to ask whether the last window fits again.
-    beside : least squares on the balances of the last seconds while a mismatch stands.
+    looks : least squares on the balances while a mismatch stands, the last ``LOOK_S`` of them.
     """
 
     def __init__(self, settings: Settings):
@@ -239,8 +241,7 @@ class LiveModel:
         self._trials = {name: Trial(units_of(settings.rig.motion)[name])
                         for name in (stage.parameter for stage in STAGES.values())}
         self.trying = Backoff(*TRY_EVERY_S)
-        self.beside: dict[str, ParameterEstimate] = {}
-        self._beside_s = -math.inf
+        self.looks: tuple[Beside, ...] = ()
 
     def restart_rows(self) -> None:
         """Rows are counted anew after a gap; what is known stays."""
@@ -284,9 +285,9 @@ class LiveModel:
             trial = self._trials[about.parameter].moved
             if self.watches[stage].update(time_of(taken), verdict, trial):
                 started.append(self.watches[stage].standing)
-                self.trying, self._beside_s = Backoff(*TRY_EVERY_S), -math.inf
+                self.trying, self.looks = Backoff(*TRY_EVERY_S), ()
         if not any(watch.standing for watch in self.watches.values()):
-            self.beside = {}
+            self.looks = ()
         return started
 
     @staticmethod
@@ -315,8 +316,9 @@ class LiveModel:
 
     def look_beside(self, time_s: float, rows: Callable[[], Recording]) -> None:
         """Take least squares on the balances of the last seconds (``rows``), if that is due."""
-        if time_s - self._beside_s >= EVERY_S:
-            self.beside, self._beside_s = parameters_of(rows(), self.settings), time_s
+        if not self.looks or time_s - self.looks[-1].time_s >= EVERY_S:
+            self.looks = (*(one for one in self.looks if time_s - one.time_s <= LOOK_S),
+                          Beside(time_s, parameters_of(rows(), self.settings)))
 
     def _run(self, stage: str, inputs: StageInputs, damping: tuple[float, float]) -> Fit:
         """Run a stage with one value of its parameter for the whole window."""
@@ -350,5 +352,5 @@ class LiveModel:
             fitting = [v for v in self.verdicts.values() if v is None or v.consistent]
             status = model_status(fitting)
             return ModelStatus(status.status, status.message, (), tainted)
-        tainted |= tainted_by(standing, self.beside, parameters)
+        tainted |= tainted_by(standing, parameters, self.looks, time_s)
         return ModelStatus("mismatch", "; ".join(m.message for m in standing), standing, tainted)

@@ -9,11 +9,12 @@ import math
 
 import numpy as np
 
-from eha_monitor.balances.parameters import WINDOW_S, parameters_of
+from eha_monitor.balances.parameters import parameters_of
 from eha_monitor.breakdown import begins_anew
 from eha_monitor.estimation.inputs import Known, StageInputs, position_variance, quantum_of
 from eha_monitor.estimation.model_watch import beyond, ranges_of, within
 from eha_monitor.estimation.results import (
+    LOOK_S,
     ONE,
     STAGES,
     TWO,
@@ -368,7 +369,7 @@ class LiveEstimator:
             stage.forget(*KEPT)
         standing = [stage for stage in STAGES if tester.standing(stage)]
         if standing:
-            tester.look_beside(now, lambda: self._rows(WINDOW_S))
+            tester.look_beside(self._now, lambda: self._rows(LOOK_S))
         start = state.taken - round(JUDGED_S / self.dt)
         self._look_beyond(start, now)
         if not standing or start < self._grid.buffer.first or not tester.trying.due(now):
@@ -391,7 +392,7 @@ class LiveEstimator:
 
     def rehearse(self) -> None:
         """Do once what a mismatch will ask for, so that its compiled code is loaded."""
-        parameters_of(self._rows(WINDOW_S), self.settings)
+        parameters_of(self._rows(LOOK_S), self.settings)
         for stage in STAGES:
             self._state.tester.try_again(stage, self._last(BUFFER_S), self._state.damping,
                                          self._now)

@@ -73,8 +73,8 @@ class Verdict:
 def verdict(estimate: Estimate, alarms: tuple[Alarm, ...]) -> Verdict:
     """Return what the recording says about the actuator, and what it does not say."""
     raised = _raised(alarms)
-    known = [p for p in estimate.best.values() if p.status == "converged"]
-    unknown = [p for p in estimate.best.values() if p.status != "converged"]
+    known = [p for p in estimate.parameters.values() if p.status == "converged"]
+    unknown = [p for p in estimate.parameters.values() if p.status != "converged"]
     mismatch = estimate.model.status == "mismatch"
     parts = []
     if raised:
@@ -247,7 +247,7 @@ def _first_screen(estimate: Estimate, alarms: tuple[Alarm, ...]) -> FirstScreen:
             (f"{NAMES[key]} {SYMBOLS[key]}", _value_cell(
                 p, key in estimate.doubted, key in estimate.model.tainted), Cell(
                 figures.limits_in_words(limits[key], p.unit), "message desk"))
-            for key, p in estimate.best.items()], key="parameters"),
+            for key, p in estimate.parameters.items()], key="parameters"),
         sentences=effect_of_mismatch(estimate), actions=next_steps(estimate, alarms))
 
 

@@ -18,7 +18,7 @@ from rclpy.serialization import serialize_message
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
 
-from eha_monitor.estimation.results import ParameterEstimate
+from eha_monitor.estimation.results import ModelStatus, ParameterEstimate
 from eha_monitor.health.alarms import WATCHED, Alarm
 from eha_monitor.health.judge import Finding
 from eha_monitor.ros.keeper import Keeper
@@ -58,23 +58,30 @@ def joint_state(time_ns: int, name: str, position: float, velocity: float,
     return message
 
 
-def estimates(time_ns: int, frame: str, found: Iterable[ParameterEstimate], hardware: str
-              ) -> DiagnosticArray:
+def estimates(time_ns: int, frame: str, found: Iterable[ParameterEstimate], model: ModelStatus,
+              hardware: str) -> DiagnosticArray:
     """Return estimates as one message, each a status with value and standard deviation.
 
     The numbers are text from which the very float is read again; an estimate without data has
     none.
+
+    Parameters
+    ----------
+    model : says where each comes from, and whether it is in doubt.
     """
     statuses = []
     for estimate in found:
-        there = estimate.status != "no_data"
+        there, doubted = estimate.status != "no_data", model.in_doubt(estimate.name)
         values = {"value": repr(float(estimate.value)), "stddev": repr(float(estimate.stddev))
                   } if there else {}
-        values |= {"unit": estimate.unit, "status": estimate.status}
+        values |= {"unit": estimate.unit, "status": estimate.status,
+                   "by": model.origin(estimate.name), "in_doubt": str(int(doubted))}
+        level, message = ESTIMATE_LEVELS[estimate.status], estimate.message or estimate.status
+        if doubted and level == "OK":
+            level, message = "WARN", f"in doubt: {model.tainted[estimate.name].reason}; {message}"
         statuses.append(DiagnosticStatus(
-            level=LEVELS[ESTIMATE_LEVELS[estimate.status]],
-            name=f"{hardware}: {_SECTIONS[estimate.name]}",
-            message=estimate.message or estimate.status, hardware_id=hardware,
+            level=LEVELS[level], name=f"{hardware}: {_SECTIONS[estimate.name]}",
+            message=message, hardware_id=hardware,
             values=[KeyValue(key=key, value=value) for key, value in values.items()]))
     message = DiagnosticArray(status=statuses)
     message.header.stamp, message.header.frame_id = stamp(time_ns), frame
@@ -173,8 +180,10 @@ class Outputs:
         # The same messages as the health: once in the bag is enough.
         self._diagnostics = self._make(DiagnosticArray, "/diagnostics", kept=False)
 
-    def parameters(self, time_ns: int, found: Mapping[str, ParameterEstimate]) -> None:
-        """Publish the estimates of the data up to a stamp in ns, those by symbol."""
+    def parameters(self, time_ns: int, found: Mapping[str, ParameterEstimate],
+                   model: ModelStatus) -> None:
+        """Publish what stands of the stages' estimates, of the data up to a stamp in ns."""
+        found = model.best(found)
         for symbol, estimate in found.items():
             if estimate.status != "no_data":
                 for output, value in zip(self._numbers[symbol],
@@ -182,7 +191,7 @@ class Outputs:
                     self._publish(output, number(value))
         self._publish(self._estimates, estimates(
             time_ns, self._frame, [found[symbol] for symbol in self._numbers if symbol in found],
-            self._hardware))
+            model, self._hardware))
 
     def state(self, time_ns: int, name: str, position: float, velocity: float) -> None:
         """Publish the estimated motion, m and m/s, at a stamp in ns."""

@@ -367,7 +367,8 @@ class Monitor:
         if self._judged_ns != self._row_ns:
             self._judge()
         snapshot = self._snapshot
-        self._outputs.parameters(self._state_ns(snapshot.state_time_s), snapshot.parameters)
+        self._outputs.parameters(self._state_ns(snapshot.state_time_s), snapshot.parameters,
+                                 snapshot.model)
         if snapshot.position == snapshot.position:  # not NaN
             name = self.settings.channels["x"].name or "piston"
             self._outputs.state(self._state_ns(snapshot.state_time_s), name, snapshot.position,
