@@ -136,10 +136,10 @@ def test_the_next_recording_is_judged(machine, settings, tmp_path):
     kept = load(tmp_path / "machine.json")
     assert kept == machine
     like = stranger(20, rise=0.0, damping=(1500.0, 1500.0), load=400.0, seconds=16.0)
-    judged = judge(kept, [like], settings)
+    judged = judge(kept, [course_of(like, settings)], settings)
     assert judged.belongs and judged.settings["F_0"][0] == pytest.approx(400.0, abs=4.0)
     worn = stranger(21, dry=260.0, rise=0.0, damping=(1500.0, 1500.0), seconds=16.0)
-    found = judge(kept, [worn], settings)
+    found = judge(kept, [course_of(worn, settings)], settings)
     assert not found.belongs
     assert found.changed[0].effect in ("coulomb_friction", "presliding_friction")
     assert found.changed[0].here == pytest.approx(260.0, rel=0.03)

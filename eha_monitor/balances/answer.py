@@ -3,7 +3,6 @@
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import compress
 
 import numpy as np
 
@@ -11,7 +10,7 @@ from eha_monitor.balances import places
 from eha_monitor.balances.advice import advice_of
 from eha_monitor.balances.baseline import baseline
 from eha_monitor.balances.candidates import SIDES, Scale, balances_in
-from eha_monitor.balances.course import Course, course_of
+from eha_monitor.balances.course import Course, course_of, courses_of
 from eha_monitor.balances.hypothesis import candidate_of, untested
 from eha_monitor.balances.machine import Machine, machine_from, pressure_varied, rms
 from eha_monitor.balances.mean_pressure import leak_or_source
@@ -74,10 +73,10 @@ def answered(recordings: Sequence[Recording], settings: Settings, asked: Asked =
         If one of them has no force balance.
     """
     started, rig = time.perf_counter(), settings.rig
-    recordings, courses, left_out = _courses(recordings, settings)
+    recordings, courses, left_out = courses_of(recordings, settings)
     baselines = tuple(baseline(recording, settings) for recording in recordings)
     if not any(course.moving.any() for course in courses):
-        return _still(recordings, courses, baselines, started)
+        return still(recordings, courses, baselines, started)
     scale, machine = Scale.of(courses), None
     own, untestable = (), ()
     if asked.hypothesis is not None:
@@ -115,33 +114,6 @@ def answered(recordings: Sequence[Recording], settings: Settings, asked: Asked =
         wall_s=time.perf_counter() - started)
 
 
-def _courses(recordings: Sequence[Recording], settings: Settings
-             ) -> tuple[list[Recording], list[Course], tuple[str, ...]]:
-    """Return the recordings that hold a motion, their motions, and why others are left out.
-
-    Raises
-    ------
-    InputError
-        If none does.
-    """
-    kept, courses, problems = [], [], []
-    for recording in recordings:
-        try:
-            courses.append(course_of(recording, settings))
-            kept.append(recording)
-        except InputError as problem:
-            problems.append(problem)
-    if not courses:
-        raise problems[0]
-    lines = [f"left out: {problem}" for problem in problems]
-    moves = [bool(course.moving.any()) for course in courses]
-    if any(moves):  # at rest a seal holds whatever load there is
-        lines += [f"left out: {one.source}: nothing moves in it"
-                  for one, there in zip(kept, moves, strict=True) if not there]
-        kept, courses = list(compress(kept, moves)), list(compress(courses, moves))
-    return kept, courses, tuple(lines)
-
-
 def first_answer(recordings: Sequence[Recording], settings: Settings, asked: Asked = Asked()
                  ) -> Diagnosis | None:
     """Return what the balances answer; None where they hold no force."""
@@ -170,7 +142,8 @@ def leaves_more(before: float, after: float, policy: Policy) -> bool:
     return before > max(policy.near, 2.0 * after)
 
 
-def _still(recordings, courses: Sequence[Course], baselines: tuple, started: float) -> Diagnosis:
+def still(recordings: Sequence[Recording], courses: Sequence[Course], baselines: tuple,
+          started: float) -> Diagnosis:
     """Return the answer for recordings in which nothing moves."""
     moved = max(float(np.ptp(course.x)) for course in courses)
     noise = max(course.sensors["x"] for course in courses)
@@ -201,29 +174,24 @@ def _composed(models: Sequence[Model], courses: Sequence[Course], settings: Sett
         effects.append(charge)
     effects.sort(key=lambda effect: -effect.log_evidence)
     open_ = [one for one in models if is_open(one, policy)]
-    unsure = [] if open_ or effects or wrong else [
-        (one, [t.candidate.words for t in one.terms if t.candidate.name not in LINEAR])
-        for one in models if not agrees(one, policy)]
-    verdict = ("unexplained" if open_ or unsure else
-               "mismatch" if effects or wrong else "consistent")
+    blamed = {one.balance for one in effects} | {SIDE_OF[one.key] for one in wrong}
+    unsure = [one for one in models
+              if one.balance not in blamed and not agrees(one, policy)]
+    verdict = ("mismatch" if blamed and not open_ else
+               "unexplained" if open_ or unsure else "consistent")
     stiffness = stiffness_of(courses, rig)
     before, after = (known_of(models, rig, policy, stiffness, nominal)
                      for nominal in (True, False))
     if verdict == "unexplained":
-        models, effects, wrong, after = [one.plain() for one in models], [], (), {}
+        models = [one.plain() for one in models] if open_ else models
+        effects, wrong, after = [], (), {}
     where, curves = place_of(models, courses, effects, wrong, verdict)
-    if unsure:
-        message = "; ".join(
-            f"the config's model leaves {share(one.nominal_error, 2)} of the {one.balance}; "
-            + (f"{listed(terms)} together explain {share(1.0 - one.error / one.nominal_error, 2)} "
-               "of that, none of them surely" if terms else "nothing of the catalogue explains it")
-            for one, terms in unsure)
-    elif verdict == "unexplained":
+    if open_:
         message = (f"the {listed([one.balance for one in open_])} balance"
                    f"{'s hold' if len(open_) > 1 else ' holds'} more than the catalogue explains")
     else:
-        message = "; ".join([*(one.statement for one in wrong),
-                             *(one.statement for one in effects)]) or (
+        message = "; ".join([*(one.statement for one in (*wrong, *effects)),
+                             *map(_unsure_words, unsure)]) or (
             "the config's own model explains the balances of this recording")
     return Diagnosis(
         (), verdict, message, where, tuple(effects), before, after, "held_out",
@@ -239,14 +207,33 @@ def _composed(models: Sequence[Model], courses: Sequence[Course], settings: Sett
             for one in model.refused))
 
 
+def _unsure_words(one: Model) -> str:
+    """Return what a balance leaves that has no name."""
+    terms = [t.candidate.words for t in one.terms if t.candidate.name not in LINEAR]
+    removed = share(1.0 - one.error / one.nominal_error, 2)
+    return f"the config's model leaves {share(one.nominal_error, 2)} of the {one.balance}; " + (
+        f"{listed(terms)} together explain {removed} of that, none of them surely" if terms else
+        "nothing of the catalogue explains it")
+
+
 def is_open(model: Model, policy: Policy) -> bool:
     """Tell whether a balance leaves more than an answer may, and more than the sensors make."""
     return model.error > max(policy.open, policy.clean * model.floor / model.size)
 
 
+def halves(found: Diagnosis) -> bool:
+    """Tell whether terms, named or not, halve what the config leaves of a balance."""
+    return any(2.0 * fit.after_rms < fit.before_rms for fit in found.signals.values())
+
+
 def agrees(model: Model, policy: Policy) -> bool:
-    """Tell whether the config's own model explains a balance: it leaves less than ``near``."""
-    return not model.nominal_error > max(policy.near, policy.clean * model.floor / model.size)
+    """Tell whether the config's own model explains a balance.
+
+    It leaves less than ``near``, and less than twice what a model with more terms does, or little.
+    """
+    floor = policy.clean * model.floor / model.size
+    return model.nominal_error <= max(floor, policy.small) or (
+        model.nominal_error <= min(policy.near, 2.0 * model.error))
 
 
 def known_of(models: Sequence[Model], rig: Rig, policy: Policy, stiffness: Stiffness,

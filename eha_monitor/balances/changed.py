@@ -2,13 +2,14 @@
 
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from scipy import stats
 
-from eha_monitor.balances.answer import overlay_of, place_of
+from eha_monitor.balances.answer import overlay_of, place_of, still
 from eha_monitor.balances.candidates import SIDES
-from eha_monitor.balances.course import Course, course_of
+from eha_monitor.balances.course import Course, courses_of
 from eha_monitor.balances.judge import Judged, JudgedBalance, Moved, judge
 from eha_monitor.balances.machine import Machine
 from eha_monitor.balances.model import Model, Term, of_judged
@@ -47,11 +48,14 @@ def against(machine: Machine, recordings: Sequence[Recording], settings: Setting
     Raises
     ------
     InputError
-        If one of them has no force balance.
+        If none of them has a force balance, or the machine is of another rig.
     """
     started, rig = time.perf_counter(), settings.rig
-    judged = judge(machine, recordings, settings)
-    courses = [course_of(recording, settings) for recording in recordings]
+    machine.refuse_other(rig)
+    recordings, courses, left_out = courses_of(recordings, settings)
+    if not any(course.moving.any() for course in courses):
+        return replace(still(recordings, courses, (), started), references=references)
+    judged = judge(machine, courses, settings)
     moved, stiffness = judged.changed, stiffness_of(courses, rig)
     verdict = ("consistent" if judged.belongs else "mismatch" if judged.explained
                else "unexplained")
@@ -79,7 +83,7 @@ def against(machine: Machine, recordings: Sequence[Recording], settings: Setting
             signal_rms=one.size) for one in models}, curves,
         () if verdict == "consistent" else tuple(
             o for one in models if (o := overlay_of(one)) is not None),
-        advice=_advice(machine, courses, references, verdict), changes=changes,
+        advice=_advice(machine, courses, references, verdict), health=left_out, changes=changes,
         references=references, probability={"consistent": np.nan, "unexplained": np.nan},
         duration_s=sum(one.duration for one in recordings), machine=machine,
         policy=machine.policy.to_dict(), wall_s=time.perf_counter() - started)

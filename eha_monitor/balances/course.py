@@ -5,8 +5,10 @@ The balances are compared as they stand, with velocity and acceleration from the
 low-pass without phase, so that a linear law stays exactly that law whatever the band.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import compress
 
 import numpy as np
 from scipy.signal import butter, lfilter, sosfiltfilt
@@ -230,6 +232,35 @@ def course_of(recording: Recording, settings: Settings, band: float = BAND) -> C
         good, moving & good)
     found.known.update(known_of(found, rig, theta, active))
     return found
+
+
+def courses_of(recordings: Sequence[Recording], settings: Settings
+               ) -> tuple[list[Recording], list[Course], tuple[str, ...]]:
+    """Return the recordings that hold a motion, their motions, and why others are left out.
+
+    All are kept where nothing moves in any.
+
+    Raises
+    ------
+    InputError
+        If none has a balance.
+    """
+    kept, courses, problems = [], [], []
+    for recording in recordings:
+        try:
+            courses.append(course_of(recording, settings))
+            kept.append(recording)
+        except InputError as problem:
+            problems.append(problem)
+    if not courses:
+        raise problems[0]
+    lines = [f"left out: {problem}" for problem in problems]
+    moves = [bool(course.moving.any()) for course in courses]
+    if any(moves):  # at rest a seal holds whatever load there is
+        lines += [f"left out: {one.source}: nothing moves in it"
+                  for one, there in zip(kept, moves, strict=True) if not there]
+        kept, courses = list(compress(kept, moves)), list(compress(courses, moves))
+    return kept, courses, tuple(lines)
 
 
 def known_of(course: Course, rig: Rig, theta: np.ndarray, active: np.ndarray

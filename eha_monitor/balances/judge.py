@@ -8,14 +8,13 @@ import numpy as np
 from eha_monitor import ties
 from eha_monitor.balances.alone import parameters_of
 from eha_monitor.balances.candidates import balances_in, candidates_of
-from eha_monitor.balances.course import course_of
+from eha_monitor.balances.course import Course
 from eha_monitor.balances.machine import Machine, MachineBalance, Setting, oil_of
 from eha_monitor.balances.named import FORCE_OF_SENSORS
 from eha_monitor.balances.policy import POLICY, Policy
 from eha_monitor.balances.scatter import Amplitudes, Scatter, amplitudes_of, limit_of, ridge_of
 from eha_monitor.balances.table import Table, pooled_table, tables_of
 from eha_monitor.balances.together import minimum_norms, setting_of, unseen
-from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings.monitor import Settings
 
 MOST_CHANGES = 3  # that are looked for in one balance
@@ -61,7 +60,8 @@ class JudgedBalance:
     ----------
     table : its columns, all recordings as one; ``each`` those of each.
     size : usual one of the machine's own signals, SI.
-    held : the machine's parameters; ``now`` those with the changes.
+    held : the machine's parameters, those of the oil within their spread; ``now`` those with
+        the changes.
     error : share of the signal that is left with the machine's parameters, those of the oil
         within their spread; ``after`` with the changes, ``usual`` the largest of the machine's
         own recordings.
@@ -125,15 +125,9 @@ class Judged:
             for one in self.balances)
 
 
-def judge(machine: Machine, recordings: Sequence[Recording], settings: Settings) -> Judged:
-    """Judge recordings of one state against a machine: together, by their balances alone.
-
-    Raises
-    ------
-    InputError
-        If one of them has no force balance.
-    """
-    courses, rig = [course_of(one, settings) for one in recordings], settings.rig
+def judge(machine: Machine, courses: Sequence[Course], settings: Settings) -> Judged:
+    """Judge motions of one state against a machine: together, by their balances alone."""
+    rig = settings.rig
     found, own, values, there = [], {}, {}, balances_in(courses, rig)
     for one in machine.balances:
         if one.balance not in there:
@@ -159,7 +153,7 @@ def judge(machine: Machine, recordings: Sequence[Recording], settings: Settings)
         # All together: else damping takes up the friction that came.
         values |= {name: row for name, *row in zip(fitted, *parameters_of(table, fitted),
                                                    strict=True) if name in held}
-    return Judged(", ".join(one.source for one in recordings), tuple(found), own, values)
+    return Judged(", ".join(one.source for one in courses), tuple(found), own, values)
 
 
 def _judged(machine: Machine, one: MachineBalance, table: Table, held: dict[str, float],
@@ -204,7 +198,7 @@ def _judged(machine: Machine, one: MachineBalance, table: Table, held: dict[str,
             now.get(name, 0.0) + step) < 0.0) for name, step in zip(
                 left.names, amount, strict=True)]] = -np.inf
         most = float(removed.max())
-        if not np.isfinite(most):
+        if not most > 0.0:
             complete = True  # what is far is no physics: the balance's error says whether it is
             break
         # What removes nearly as much is a rival.  Of what leaves the same, a number that the
@@ -240,8 +234,8 @@ def _judged(machine: Machine, one: MachineBalance, table: Table, held: dict[str,
         free = [name for name in free if name not in columns_of(moved.name, table)]
         held, now = held | {moved.name: moved.machine}, now | {moved.name: moved.here}
         changes.append((moved.name, replace(moved, removed=error(held) - error(now))))
-    return JudgedBalance(one.balance, table, held, now,
-                         error(with_oil(table, held, free, oil, policy)), error(now),
+    held = with_oil(table, held, free, oil, policy)
+    return JudgedBalance(one.balance, table, held, now, error(held), error(now),
                          max(one.held),
                          tuple(moved for _, moved in changes), complete, largest, one.size,
                          tuple(free))

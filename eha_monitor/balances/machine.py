@@ -15,7 +15,7 @@ from eha_monitor.balances.candidates import (
     candidates_of,
     sum_of_pressures,
 )
-from eha_monitor.balances.course import Course, course_of
+from eha_monitor.balances.course import Course, course_of, courses_of
 from eha_monitor.balances.discrepancy import Regime, learned, regimes, signals_of
 from eha_monitor.balances.parameters import UNKNOWN, Stiffness, stiffness_of
 from eha_monitor.balances.policy import POLICY, Policy
@@ -24,7 +24,7 @@ from eha_monitor.balances.table import Table, nominal_of, tables_of
 from eha_monitor.balances.together import Chosen, Named, Recordings, pooled
 from eha_monitor.errors import InputError
 from eha_monitor.output import write_json
-from eha_monitor.quantity import share
+from eha_monitor.quantity import quantity, share
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings.monitor import Settings
 from eha_monitor.settings.rig import Rig
@@ -154,6 +154,7 @@ class Machine:
     load_varied : whether the recordings differ in load, or in mean pressure.
     pieces : they are parts of fewer recordings.
     stiffness : of the oil, by least squares.
+    areas : of the rig, m^2; None of a file that does not hold them.
     """
 
     rig: str
@@ -165,6 +166,25 @@ class Machine:
     odd: tuple[Odd, ...]
     policy: Policy
     stiffness: Stiffness = UNKNOWN
+    areas: tuple[float, float] | None = None
+
+    def refuse_other(self, rig: Rig) -> None:
+        """Refuse a rig with other areas: every force and flow of its balances would be another.
+
+        Raises
+        ------
+        InputError
+        """
+        own = (rig.area_1, rig.area_2)
+        within = self.policy.varied * rig.tolerance.log_spread("area_1")
+        if self.areas is None or not all((*self.areas, *own)):
+            return
+        if any(abs(np.log(here / there)) > within
+               for here, there in zip(own, self.areas, strict=True)):
+            raise InputError(
+                f"the machine of {self.sources[0]}: areas of "
+                f"{' and '.join(quantity(one, 'm²', 3) for one in self.areas)}, expected those of "
+                f"the config, {' and '.join(quantity(one, 'm²', 3) for one in own)}")
 
     def __getitem__(self, balance: str) -> MachineBalance:
         return next(one for one in self.balances if one.balance == balance)
@@ -187,7 +207,7 @@ class Machine:
             "repeating_share": {one.balance: one.repeats for one in self.balances},
             "load_varied": self.load_varied, "turns": self.scale.turns, "pieces": self.pieces,
             "odd": [asdict(one) for one in self.odd],
-            "stiffness": asdict(self.stiffness),
+            "stiffness": asdict(self.stiffness), "areas": self.areas,
             "scale": asdict(self.scale), "policy": self.policy.to_dict(),
             "balances": [asdict(one) for one in self.balances]})
 
@@ -241,9 +261,9 @@ def healthy_machine(recordings: Sequence[Recording], settings: Settings,
     Raises
     ------
     InputError
-        If a recording has no force balance, or so few are too short to be cut.
+        If no recording has a force balance, or so few are too short to be cut.
     """
-    courses = [course_of(recording, settings) for recording in recordings]
+    _, courses, _ = courses_of(recordings, settings)
     if len(courses) >= policy.fewest:
         machine = machine_from(courses, settings.rig, (), (), policy)
         strange = {one.place for one in machine.odd}
@@ -296,7 +316,8 @@ def machine_from(courses: Sequence[Course], rig: Rig, vary: Sequence[str], witho
     sources = tuple(Path(one.source).name or f"recording {i + 1}"
                     for i, one in enumerate(courses))
     return Machine(rig.name, sources, scale, bool(varied), pieces, tuple(found),
-                   _odd(sources, found, policy), policy, stiffness_of(courses, rig))
+                   _odd(sources, found, policy), policy, stiffness_of(courses, rig),
+                   (rig.area_1, rig.area_2))
 
 
 def pressure_varied(courses: Sequence[Course], policy: Policy) -> bool:
@@ -496,7 +517,8 @@ def load(path: Path) -> Machine:
             data["load_varied"], data["pieces"], balances,
             tuple(Odd(**one) for one in data["odd"]),
             Policy(**{k: v for k, v in data["policy"].items() if k in known}),
-            _read_stiffness(data.get("stiffness")))
+            _read_stiffness(data.get("stiffness")),
+            tuple(data["areas"]) if data.get("areas") else None)
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as problem:
         raise InputError(f"{path}: expected a machine, as `diagnose A B C --machine FILE` writes "
                          f"it: {problem}") from problem

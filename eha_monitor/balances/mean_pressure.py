@@ -6,7 +6,9 @@ A_2 / A_1 of the pump's flow going through chamber 2 (Merritt 1967, Eq. 6-39, wi
     G (2 p_c - p_1 - p_2) = L (p_1 + p_2 - 2 p_a) + (A_1 - A_2) (v - D_p omega / A_1)
 
 So a leakage across the piston leaves the mean pressure alone, and one to ambient lowers it, by
-more than any tolerance of the source's pressure explains.  How large it is, is known as well as G.
+more than any tolerance of the source's pressure explains.  Check valves instead of that path let
+both pressures rise above the source; then only the lowest is its own.  How large the leak is, is
+known as well as G.
 """
 
 from collections.abc import Sequence
@@ -22,6 +24,7 @@ from eha_monitor.settings.monitor import Settings
 from eha_monitor.settings.rig import Rig
 
 EFFECT = "external_leakage"
+LOW = 0.05  # of the samples of the lower pressure: what stands for its lowest
 
 
 def leak_or_source(courses: Sequence[Course], settings: Settings, displacement: float | None,
@@ -40,7 +43,7 @@ def leak_or_source(courses: Sequence[Course], settings: Settings, displacement: 
         return None
     if not displacement or not all(has_flow(course, rig) for course in courses):
         return None
-    mean, piston = np.mean([_means(course, rig, displacement) for course in courses], axis=0)
+    mean, piston, low = np.mean([_means(course, rig, displacement) for course in courses], axis=0)
     needed = mean + 0.5 * piston / rig.makeup_conductance
     if not needed > rig.ambient_pressure:
         return None
@@ -50,6 +53,8 @@ def leak_or_source(courses: Sequence[Course], settings: Settings, displacement: 
     apart = float(np.log(rig.charge_pressure / needed)) / spread
     if abs(apart) < policy.varied:
         return None
+    if apart < 0.0 and low < rig.charge_pressure * np.exp(policy.varied * spread):
+        return None  # check valves hold the lower of both pressures there, and not their mean
     said = (f"the mean pressure of {quantity(mean, 'Pa', 3)} is {{}} the "
             f"{quantity(rig.charge_pressure, 'Pa', 3)} of its source by "
             f"{share(abs(mean / rig.charge_pressure - 1.0), 2)}")
@@ -68,9 +73,10 @@ def leak_or_source(courses: Sequence[Course], settings: Settings, displacement: 
         probability=policy.certain)
 
 
-def _means(course: Course, rig: Rig, displacement: float) -> tuple[float, float]:
-    """Return the mean of both absolute pressures, Pa, and what the rod's volume takes, m^3/s."""
+def _means(course: Course, rig: Rig, displacement: float) -> tuple[float, float, float]:
+    """Return the means of both absolute pressures and of the rod's flow, and the lowest; SI."""
     good = course.good
-    mean = 0.5 * (course.absolute(course.p1, rig) + course.absolute(course.p2, rig))[good].mean()
+    both = np.stack([course.absolute(p, rig) for p in (course.p1, course.p2)])[:, good]
     more = (rig.area_1 - rig.area_2) * (course.v - displacement * course.omega / rig.area_1)
-    return float(mean), float(more[good].mean())
+    return (float(both.mean()), float(more[good].mean()),
+            float(np.quantile(both.min(axis=0), LOW)))

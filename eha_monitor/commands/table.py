@@ -114,9 +114,12 @@ def show(found: Estimate, alarms: tuple[Alarm, ...], written: list[Path],
 def show_baselines(to: Console, baselines: Sequence[Baseline]) -> None:
     """Print what ten lines of least squares say, which hold where a filter does not."""
     for one in baselines:
+        of = f" of {Path(one.source).name}" if len(baselines) > 1 else ""
         for balance, fit in (("force", one.force), ("flow", one.flow)):
-            if fit is not None:
-                to.print(escape(f"least squares, {balance}: {baseline_sentence(fit)}"))
+            said = (baseline_sentence(fit) if fit is not None else
+                    f"none: {one.missing[balance]}" if balance in one.missing else "")
+            if said:
+                to.print(escape(f"least squares, {balance}{of}: {said}"))
 
 
 def _coloured(word: str) -> str:

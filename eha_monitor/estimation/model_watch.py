@@ -179,8 +179,9 @@ def tainted_by(mismatches: Iterable[Mismatch],
                looks: Sequence[Beside] = (), elapsed_s: float = 0.0) -> dict[str, Taint]:
     """Return which of ``B`` and ``beta_e`` the mismatches that stand put in doubt, and why.
 
-    Stage two holds the force balance as well, so what that lacks moves beta_e too.  A stage that
-    fits is in doubt where least squares contradict it while another does not fit.
+    Stage two holds the force balance as well, so what that lacks moves beta_e too.  While one
+    stage does not fit, another is in doubt where least squares contradict it, or determine what it
+    does not.
 
     Parameters
     ----------
@@ -207,8 +208,8 @@ def tainted_by(mismatches: Iterable[Mismatch],
 
 
 def _contradicts(estimate: ParameterEstimate, other: ParameterEstimate) -> bool:
-    """Tell whether a stage's value is farther from another than both may be off."""
-    return estimate.status == "converged" and (
+    """Tell whether a stage's value is farther from another than both may be off, or none."""
+    return estimate.status != "converged" or (
         abs(estimate.value - other.value)
         > FAR * math.hypot(estimate.stddev, other.stddev) + MOVED * abs(other.value))
 

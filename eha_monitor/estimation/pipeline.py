@@ -15,6 +15,7 @@ from eha_monitor.estimation.model_watch import beyond, model_status, ranges_of, 
 from eha_monitor.estimation.results import (
     BALANCE,
     CONVERGED,
+    GAINED,
     ONE,
     STAGES,
     TWO,
@@ -223,7 +224,7 @@ def change_events(seen: Changes, dt: float, stage: Stage, unit: str) -> list[Eve
 
 def first_converged(value: np.ndarray, stddev: np.ndarray, prior_stddev: float) -> int | None:
     """Return the first sample at which a parameter counts as converged."""
-    return first_where(lambda v, s: (s < 0.1 * np.abs(v)) & (s < 0.5 * prior_stddev),
+    return first_where(lambda v, s: (s < CONVERGED * v) & (s < prior_stddev / GAINED),
                        value, stddev)
 
 

@@ -16,6 +16,7 @@ from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings.monitor import Settings
 from eha_monitor.words import effect_words, listed
 
+SAME_OIL = 5.0  # K: recordings within it show B of one oil
 MOMENTS = 400  # of the pressures: their distribution is wanted, not their course
 NO_JOINT = ("the leakage is not estimated: it needs x, p1, p2 and omega, and a config without "
             "effects")
@@ -107,10 +108,11 @@ def evidence(recordings: list[Recording], settings: Settings, values: Mapping[st
     """
     pressures = [moments(one, name, since) for one in recordings for name in ("p1", "p2")
                  if one.has("p1", "p2")]
-    temperature = next((float(shown[-1]) for one in reversed(recordings)
-                        if len(shown := moments(one, "temperature", 0))), None)
-    measured = temperature is not None
-    if not measured:
+    warmth = [float(shown[-1]) for one in recordings
+              if len(shown := moments(one, "temperature", 0))]
+    measured = bool(warmth) and max(warmth) - min(warmth) < SAME_OIL
+    temperature = warmth[-1] if measured else None
+    if not warmth:
         temperature = settings.health.oil_temperature
     channels = tuple(name for name in recordings[0].channels
                      if all(one.has(name) for one in recordings)) if recordings else ()
@@ -296,7 +298,8 @@ def _damping(found: Evidence, settings: Settings) -> Indicator:
 
     at = (_temperature_words(found, settings).removeprefix(", at ").join(("at ", ""))
           if found.temperature is not None else "at the unknown temperature of the oil: "
-          "health.oil_temperature is not set and no channel measures it")
+          "health.oil_temperature is not set, and no channel measures it or the recordings "
+          "differ in it")
     return _made("damping", damping, *_with_temperature(found, settings, ("B",)), (), at, unit)
 
 

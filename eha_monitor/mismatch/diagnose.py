@@ -8,7 +8,13 @@ from itertools import pairwise
 import numpy as np
 
 from eha_monitor import ties
-from eha_monitor.balances.answer import Asked, answered, far_from_config, first_answer
+from eha_monitor.balances.answer import (
+    Asked,
+    answered,
+    far_from_config,
+    first_answer,
+    halves,
+)
 from eha_monitor.balances.baseline import baseline
 from eha_monitor.balances.course import TRAVEL
 from eha_monitor.balances.policy import POLICY, Policy
@@ -122,18 +128,16 @@ def _diagnosed(recordings: list[Recording], settings: Settings, held_out: Record
     held, decision = resolved(recordings, settings)
     experiment = at_its_angle(experiment_of(recordings, held, held_out is None, without))
     far = hypothesis is None and far_from_config(first)
-    coarse = replace(first, advice=(FINER, *first.advice)) if far else None
     # Several recordings of such a machine say more together than a filter of one law can.
     if far and (first.machine is not None or not credible(experiment, first.config_effects)):
-        return coarse, None
+        return by_first(first, started), None
     # What least squares say stands where no set of laws brings a filter near the recording.
-    stands = hypothesis is None and first is not None and first.verdict != "unexplained"
+    stands = hypothesis is None and first is not None and (
+        first.verdict != "unexplained" or halves(first))
     try:
         named = named_in(experiment, say, first, stands)
     except Unfollowed:
-        note = UNNAMED if first.verdict == "consistent" else FINER
-        return replace(first, advice=(note, *first.advice),
-                       wall_s=time.perf_counter() - started), None
+        return by_first(first, started), None
     if decision is not None and named is not None and (
             named[1].unexplained > experiment.policy.rival):
         # What is missing may have been taken for a hold, or the other way about.
@@ -146,20 +150,25 @@ def _diagnosed(recordings: list[Recording], settings: Settings, held_out: Record
             decision = replace(decision, hold=held.command_hold, evidence=gained, decided=True)
     found = diagnosed(recordings, experiment, named, held_out, started, say, hypothesis)
     if far and explains_more(first, found):
-        return coarse, None
+        return by_first(first, started), None
     if found.verdict == "unexplained" and not found.learned:
         if far:
-            return coarse, None
+            return by_first(first, started), None
         # Innovations of another form than the config's laws are no mismatch of this machine.
-        if hypothesis is None and first is not None and first.verdict == "consistent" and (
-                not credible(experiment, {})):
-            return replace(first, advice=(UNNAMED, *first.advice)), None
+        if stands and first.verdict != "mismatch" and not credible(experiment, {}):
+            return by_first(first, started), None
     decided = decision is not None and decision.decided
     return replace(found, machine=None if first is None else first.machine,
                    policy=experiment.policy.to_dict(),
                    channels=decision.findings if decided else (),
                    command_hold=(held if decided else settings).command_hold,
                    wall_s=time.perf_counter() - started), named and named[1]
+
+
+def by_first(first: Diagnosis, started: float) -> Diagnosis:
+    """Return what the balances answer where no filter follows, with what may be done about it."""
+    notes = {"consistent": (UNNAMED,), "mismatch": (FINER,)}.get(first.verdict, ())
+    return replace(first, advice=(*notes, *first.advice), wall_s=time.perf_counter() - started)
 
 
 def explains_more(first: Diagnosis, found: Diagnosis, policy: Policy = POLICY) -> bool:

@@ -354,6 +354,7 @@ class Diagnosis:
 
 
 NOTABLE = 0.02  # relative change of a health parameter that is worth a sentence
+BALANCE_OF = {"B": "force", "beta_e": "flow"}
 HEALTH_WORDS = {"B": "B", "beta_e": "the effective bulk modulus"}
 
 
@@ -365,12 +366,13 @@ def health_sentences(before: dict[str, Value], after: dict[str, Value],
     for name, first in before.items():
         if name not in after or not effects:
             continue
+        own = [effect for effect in plant if effect.balance == BALANCE_OF[name]] or plant
         then = after[name].value
         change = first.value - then
         if abs(change) < NOTABLE * abs(then) or abs(change) < 3.0 * after[name].stddev:
             continue
         cause = " and ".join(f"{effect.size} of {effect_words(effect.name)}".strip()
-                             for effect in plant[:3])
+                             for effect in own[:3])
         read = f"{HEALTH_WORDS[name]} read {quantity(first.value, first.unit, 3)}"
         sense = "not wear" if name == "B" else "not the fluid"
         if change > 0:

@@ -5,9 +5,11 @@ recording.  A number of the data sheet is rarely wrong by more than its toleranc
 pressures, τ late, takes B·τ from the mass, and areas that are off by a factor take it from both.
 """
 
+from itertools import permutations
 from math import hypot, log
 
 from eha_monitor.balances.baseline import BalanceFit, Baseline, Term
+from eha_monitor.plausibility.mistakes import PRESSURES
 from eha_monitor.quantity import number, quantity, with_uncertainty
 from eha_monitor.settings.rig import Rig
 
@@ -31,7 +33,8 @@ def against_sheet(first: Baseline, rig: Rig) -> list[str]:
             return [f"{_both(*heavy)}, {_both(*pumped)}: piston areas that are {size} read so"]
     found = []
     if heavy:
-        found.append(_both(*heavy) + _late(first.force, *heavy))
+        found.append(_both(*heavy) + (_unit(*heavy, hypot(mass, area))
+                                      or _late(first.force, *heavy)))
     if pumped:
         found.append(f"{_both(*pumped)}: is it right, and a revolution not taken for a radian?  "
                      "Areas that are off by the same factor, or a pump that slips, read so too")
@@ -57,6 +60,16 @@ def _share(term: Term) -> float:
 def _both(term: Term, given: float) -> str:
     return (f"{term.words} {with_uncertainty(term.value, term.stddev, term.unit)}, where the "
             f"config has {quantity(given, term.unit)}")
+
+
+def _unit(term: Term, given: float, tolerance: float) -> str:
+    """Return which unit of the pressures, taken for another, makes that mass, where one does."""
+    spread = hypot(_share(term), tolerance)
+    off, taken, meant = min(
+        (abs(log(given / term.value * PRESSURES[taken] / PRESSURES[meant])), taken, meant)
+        for taken, meant in permutations(PRESSURES, 2))
+    return f": pressures in {meant} that are taken for {taken} read so" if (
+        off < APART * spread) else ""
 
 
 def _late(fit: BalanceFit, term: Term, given: float) -> str:

@@ -79,7 +79,10 @@ def next_steps(found: Diagnosis, bags: str) -> tuple[str, ...]:
     """
     steps = [f"correct {finding.key} in the config, or find out why it is "
              f"{value_words(finding.found)}" for finding in found.rig_data]
-    steps += [effect.rig_check for effect in found.effects[:1] if effect.rig_check]
+    steps += [effect.rig_check for effect in found.effects if effect.rig_check][:1]
+    if found.references and found.changes:
+        steps.append("find out why it has changed; after a repair `eha-monitor diagnose "
+                     f"{bags} --reference ...` says whether it is as before")
     completed = found.verdict == "mismatch" or found.learned
     if completed and not found.references:  # what has changed is the machine's, not the config's
         known = [SYMBOLS.get(name, name) for name, value in found.after.items()

@@ -164,9 +164,8 @@ def effect_of_mismatch(estimate: Estimate) -> tuple[str, ...]:
 def next_steps(estimate: Estimate, alarms: tuple[Alarm, ...]) -> tuple[str, ...]:
     """Return what to do, the most important first; commands stand between backticks."""
     bag = shlex.quote(estimate.recording.source or "BAG")
-    steps = []
+    steps, own = [], own_config(estimate.settings.rig)
     if estimate.model.status == "mismatch":
-        own = own_config(estimate.settings.rig)
         wrong = listed([SYMBOLS[name] for name in estimate.doubted])
         steps.append((f"do not act on {wrong} yet: " if wrong else "")
                      + f"`eha-monitor diagnose {bag}{own}` identifies what the model lacks")
@@ -174,7 +173,7 @@ def next_steps(estimate: Estimate, alarms: tuple[Alarm, ...]) -> tuple[str, ...]
     for p in estimate.parameters.values():
         if p.status in _STEPS:
             steps.append(_STEPS[p.status].format(
-                name=NAMES[p.name], symbol=SYMBOLS[p.name], bag=bag,
+                name=NAMES[p.name], symbol=SYMBOLS[p.name], bag=bag + own,
                 message=p.message.rstrip(".") or "its channels are missing"))
     judged = {p.name for p in estimate.parameters.values() for a in alarms
               if a.name.startswith(_SECTIONS[p.name]) and a.message != NO_LIMIT}
