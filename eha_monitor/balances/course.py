@@ -29,6 +29,7 @@ from eha_monitor.settings.rig import Rig
 BAND = 5.0  # Hz: pass band of every balance; wider ones are for motions beyond it
 MOTION = 4.0  # bands: pass band of the motion
 GRID, COARSE = 32, 4  # points in a period of the band; each so-many-th of them is compared
+BRIDGED = 0.1  # of a period of the motion's band: a gap that a straight line bridges
 APART = 0.5  # periods of the band over which its low-pass mixes a sample with its neighbours
 SPARSE = 0.4  # samples in a period of the band, inverted: fewer do not hold it
 STANDING = 0.02  # of the top speed: below it dry friction takes any value
@@ -186,7 +187,8 @@ def course_of(recording: Recording, settings: Settings, band: float = BAND) -> C
     cleaned = {name: np.where(_dead(values, dt), np.nan, values)
                for name, values in cleaned.items()}
     needed = [name for name in names if name not in ("x_d", "omega_d")]
-    missing = ~np.all([np.isfinite(cleaned[name]) for name in needed], axis=0)
+    missing = _gaps(~np.all([np.isfinite(cleaned[name]) for name in needed], axis=0),
+                    round(BRIDGED / (MOTION * band * dt)))
     theta, active = theta_of(rig, settings.effects)
     circuit = circuit_of(theta, active)
     whole = _righted({name: filled(values) for name, values in cleaned.items()}, circuit, dt)
@@ -231,6 +233,15 @@ def course_of(recording: Recording, settings: Settings, band: float = BAND) -> C
             float(np.quantile(p, 0.01)) for p in pressures) < GAUGE * rig.ambient_pressure,
         good, moving & good)
     found.known.update(known_of(found, rig, theta, active))
+    return found
+
+
+def _gaps(missing: np.ndarray, short: int) -> np.ndarray:
+    """Return where samples are missing, (n,) bool, without runs of up to ``short`` of them."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], missing, [False]])))
+    found = np.zeros(len(missing), dtype=bool)
+    for start, stop in edges.reshape(-1, 2):
+        found[start:stop] = stop - start > short
     return found
 
 

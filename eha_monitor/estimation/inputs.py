@@ -7,6 +7,7 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 
 from eha_monitor.estimation.drive import Hold, drive_input, hold_of
+from eha_monitor.estimation.rest import REST_S, resting
 from eha_monitor.estimation.results import NoiseEstimate
 from eha_monitor.estimation.rig_model import (
     RigModel,
@@ -36,7 +37,8 @@ class Known:
     """What the live estimator knows about its rows and does not measure anew on each batch.
 
     The reasons are those of the rows that it began with; ``started`` is what the drive
-    remembers at the first row; ``counted`` are the rows whose spikes are counted.
+    remembers at the first row; ``counted`` are the rows whose spikes are counted; ``rest`` tells
+    of each row whether everything rests.
     """
 
     model: RigModel
@@ -46,6 +48,7 @@ class Known:
     no_drive: str | None
     started: np.ndarray | None = None
     counted: slice | None = None
+    rest: np.ndarray | None = None
 
 
 @dataclass(frozen=True)
@@ -77,6 +80,7 @@ class StageInputs:
     ``quantum`` is the position's resolution in m, 0 where it is continuous; ``spikes`` counts the
     samples of each channel that were left out.  ``x``, ``noise`` and all that comes of them have
     the sensors' known errors undone.  ``kept`` is what the drive remembers after each sample.
+    ``rest`` is where nothing moves, (n,) bool: the stages get no input there.
     """
 
     model: RigModel
@@ -96,6 +100,7 @@ class StageInputs:
     no_drive: str | None
     spikes: dict[str, int]
     kept: np.ndarray
+    rest: np.ndarray
 
     @classmethod
     def of(cls, recording: Recording, settings: Settings, known: Known | None = None,
@@ -138,7 +143,10 @@ class StageInputs:
             np.zeros(len(recording)) if leak_flow is None else between(leak_flow),
             between(channels["p1"]) if both else charge,
             between(channels["p2"]) if both else charge, mean_pressure(channels, rig), noise,
-            position_variance(noise, step), step, no_force, no_drive, spikes, kept)
+            position_variance(noise, step), step, no_force, no_drive, spikes, kept,
+            known.rest if known and known.rest is not None else
+            resting(recording.channels, known.noise if known else noise_levels(
+                recording, settings.noise), recording.sample_time, step))
 
     @property
     def rows(self) -> int:
@@ -154,7 +162,12 @@ class StageInputs:
         """Return what stage one takes of the samples up to ``stop``."""
         force = self.force
         return RowsOne(*(values[:stop] for values in (
-            self.x, force.start, force.end, force.variance, self.p1, self.p2)))
+            self.x, self.moving(force.start), self.moving(force.end), force.variance, self.p1,
+            self.p2)))
+
+    def moving(self, values: np.ndarray) -> np.ndarray:
+        """Return an input, NaN where everything rests."""
+        return np.where(self.rest, np.nan, values) if self.rest.any() else values
 
     def rows_two(self, b: np.ndarray | float, b_variance: np.ndarray | float,
                  stop: int | None = None) -> RowsTwo:
@@ -162,7 +175,9 @@ class StageInputs:
         size = self.rows if stop is None else stop
         given = (np.full(size, values, dtype=float) if np.ndim(values) == 0
                  else np.array(values[:size], dtype=float) for values in (b, b_variance))
-        return RowsTwo(self.x[:stop], *(values[:stop] for values in self.drive), *given,
+        start, *others = self.drive
+        return RowsTwo(self.x[:stop], *(values[:stop] for values in (
+            self.moving(start), *others)), *given,
                        self.leak_flow[:stop], self.mean[:stop])
 
     def pieces(self, recording: Recording | None = None, begin: int = 0) -> Iterator[Piece]:
@@ -257,7 +272,7 @@ class PiecedInputs:
         self._ahead = BESIDE + math.ceil(
             max(circuit[s.POSITION_DELAY], circuit[s.PRESSURE_DELAY]) / self.dt)
         self._back = BESIDE + math.ceil(
-            max(circuit[s.COMMAND_DELAY], circuit[s.FEEDBACK_DELAY]) / self.dt)
+            max(circuit[s.COMMAND_DELAY], circuit[s.FEEDBACK_DELAY], REST_S) / self.dt)
         self._kept: dict[int, np.ndarray | None] = {0: None}  # piece -> what the drive remembers
         self._course, self._spikes, self._seen = Table(), {}, 0
 
@@ -265,6 +280,11 @@ class PiecedInputs:
     def measured_force(self) -> np.ndarray:
         """Of the sample."""
         return self.facts.measured_force
+
+    @property
+    def rest(self) -> np.ndarray:
+        """Of the sample."""
+        return self.facts.rest
 
     @property
     def spikes(self) -> dict[str, int]:

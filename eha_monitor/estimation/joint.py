@@ -366,7 +366,9 @@ def run_joint(inputs: Inputs, recording: Recording, settings: Settings, one: Sta
         hold = (hold_of(rows.channels["x_d"], 0.0) if ideal
                 else speed_hold(rows, settings, inputs)).part(piece.within)
         out = np.empty((7, part.rows))
-        filter_joint(RowsJoint(part.x, part.measured_force, *hold), given, state, piece.first, out)
+        hold = hold._replace(start=part.moving(hold.start))
+        filter_joint(RowsJoint(part.x, part.moving(part.measured_force), *hold), given, state,
+                     piece.first, out)
         written.append(out[3:, piece.first:])
     P = state.P
     nu_x, sd_x, nu_f, sd_f = map(sampled, written.values())
@@ -517,9 +519,10 @@ class Bound:
             hold = hold_of(np.zeros(len(rows)), 0.0)  # its noise is no motion
         force, R_f = np.full(part.rows, np.nan), np.inf
         if "p1" in self.channels:
-            force = part.measured_force
+            force = part.moving(part.measured_force)
             R_f = force_variance(self.estimate.settings.rig, inputs.noise, 0.0)
         hold = hold._replace(variance=variance).part(piece.within)
+        hold = hold._replace(start=part.moving(hold.start))
         given = ConstantsJoint(self._constants, inputs.dt, inputs.position_variance, R_f, True)
         filter_joint(RowsJoint(part.x, force, *hold), given, self._state, piece.first,
                      np.empty((7, part.rows)))

@@ -186,6 +186,11 @@ def stage_result(stage: Stage, out: list[np.ndarray], seen: Changes, inputs: Inp
     value, stddev, innovation, sigma = (out[row] for row in (
         stage.value, stage.stddev, stage.innovation, stage.innovation_stddev))
     if not any_of((innovation,), np.isfinite):
+        if inputs.rest.all():
+            prior = stage.prior(settings)
+            still = stage.judged(settings, prior.prior, prior.prior_stddev)
+            return replace(empty_stage(stage, settings, ""), estimate=replace(
+                still, message=f"nothing moves: {still.message}"))
         lacks = "force" if stage is ONE else "drive"
         return empty_stage(stage, settings, f"{stage.words} found no stretch with position and "
                                             f"{lacks} together")

@@ -13,6 +13,7 @@ from eha_monitor.balances.parameters import parameters_of
 from eha_monitor.breakdown import begins_anew
 from eha_monitor.estimation.inputs import Known, StageInputs, position_variance, quantum_of
 from eha_monitor.estimation.model_watch import beyond, ranges_of, within
+from eha_monitor.estimation.rest import REST_S, resting
 from eha_monitor.estimation.results import (
     LOOK_S,
     ONE,
@@ -261,10 +262,12 @@ class LiveEstimator:
     def _inputs_from(self, start: int) -> StageInputs:
         """Return the stages' inputs of the rows from ``start`` to the end of the buffer."""
         state, buffer = self._state, self._grid.buffer
+        before = max(start - math.ceil(REST_S / self.dt), buffer.first)
+        rest = resting(buffer.channels(before, buffer.end), state.noise, self.dt, state.quantum)
         return StageInputs.of(
             buffer.recording(start, buffer.end), self.settings,
             Known(self._model, state.noise, state.quantum, self._no_force, self._no_drive,
-                  buffer.column("kept", start, start + 1)),
+                  buffer.column("kept", start, start + 1), rest=rest[start - before:]),
             self._grid.time_of(start) - self._began)
 
     def _inputs(self, start: int) -> StageInputs:
