@@ -38,12 +38,11 @@ UNITS = {"p50": "ms", "p99": "ms", "most": "ms", "share": "% of a core"}
 
 def main() -> int:
     """Run the benchmark or, as a child of it, the reference; 1 if anything was lost."""
-    options = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    options = record.options(__doc__)
     options.add_argument("--counts", type=int, nargs="+", default=[1, 10], metavar="N")
     options.add_argument("--duration", type=float, default=20.0, metavar="SECONDS")
     options.add_argument("--rate", type=float, default=10.0, metavar="HZ",
                          help="monitor.publish_rate")
-    record.add_option(options)
     options.add_argument("--reference", choices=("callbacks", "middleware"),
                          help=argparse.SUPPRESS)
     given = options.parse_args()

@@ -7,7 +7,6 @@ polytropic chambers, a torque-controlled shaft), without and with dry friction, 
 imported with its config in `config/`, estimated and diagnosed.  The truth is printed beside it.
 """
 
-import argparse
 import sys
 import tempfile
 from dataclasses import dataclass
@@ -210,11 +209,10 @@ def off(parameter: dict | None, truth: float) -> float:
 
 def main() -> int:
     """Run it and print its table."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = record.options(__doc__)
     parser.add_argument("--machines", nargs="+", choices=list(MACHINES), default=list(MACHINES))
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--no-diagnose", action="store_true")
-    record.add_option(parser)
     asked = parser.parse_args()
     table, figures = Table(title="machines that are no pump-controlled actuator"), {}
     for head in ("machine", "truth", "estimate B", "off", "model", "diagnose", "B then", "off"):

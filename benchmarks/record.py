@@ -25,13 +25,23 @@ from filterpy.kalman import ExtendedKalmanFilter
 
 ROOT = Path(__file__).resolve().parents[1]
 FIGURES = ROOT / "benchmarks" / "figures"
+DATA = ROOT.parent / "shared" / "data"  # real recordings, which are not in the repository
 DOCUMENTED = ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef
 
 
-def add_option(options: argparse.ArgumentParser) -> None:
-    """Add ``--record`` to the options of a benchmark."""
-    options.add_argument("--record", action="store_true",
-                         help="write what is measured to benchmarks/figures")
+def options(words: str, data: bool = False) -> argparse.ArgumentParser:
+    """Return the options of a benchmark: ``--record``, and ``--data`` of one on real recordings.
+
+    Parameters
+    ----------
+    words : its docstring, whose first line the help shows.
+    """
+    made = argparse.ArgumentParser(description=words.splitlines()[0])
+    made.add_argument("--record", action="store_true",
+                      help="write what is measured to benchmarks/figures")
+    if data:
+        made.add_argument("--data", type=Path, default=DATA)
+    return made
 
 
 def spread(values: object, unit: str = "") -> dict:

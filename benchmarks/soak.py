@@ -11,7 +11,6 @@ the rate, is no word on the plant).  The monitor must live, and its memory must 
 status is 1 if one of these is missed.
 """
 
-import argparse
 import json
 import os
 import random
@@ -94,12 +93,11 @@ class Child:
 
 def main() -> int:
     """Run the soak; the exit status is 1 if a demand is missed."""
-    options = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    options = record.options(__doc__)
     options.add_argument("--minutes", type=float, default=10.0)
     options.add_argument("--seed", type=int, default=0)
     options.add_argument("--kinds", nargs="+", choices=list(WORDS), default=list(WORDS))
     options.add_argument("--log", type=Path, help="write what was seen to a JSON file")
-    record.add_option(options)
     given = options.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         os.environ.update({
