@@ -257,7 +257,7 @@ def _charge(answers: Answers, seen: Seen, *areas: Entry) -> Entry:
                  f"absolute, of the make-up source, such as 20 bar; this is the {PAPER}", True)
 
 
-def seen_in(recording, rig_known: bool = True) -> Seen:
+def seen_in(recording) -> Seen:
     """Return what a recording, in SI, shows of its rig."""
     step = recording.sample_time
     gain = charge = ratio = span = None
