@@ -100,10 +100,7 @@ def main() -> int:
     options.add_argument("--log", type=Path, help="write what was seen to a JSON file")
     given = options.parse_args()
     with tempfile.TemporaryDirectory() as folder:
-        os.environ.update({
-            "ROS_DOMAIN_ID": str(1 + os.getpid() % 100), **os.environ,
-            "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "ROS_LOG_DIR": folder,
-            "PYTHONPATH": str(REPOSITORY), "OPENBLAS_NUM_THREADS": "1"})
+        record.own_graph(folder)
         faults, seen, status, said = soak(given.minutes * 60.0, given.seed, given.kinds)
     if given.log:
         given.log.write_text(json.dumps({"faults": [vars(f) for f in faults], **vars(seen)}))
