@@ -3,6 +3,7 @@
 import stat
 
 import pytest
+from command_tools import refused
 
 from eha_monitor.cli import main
 
@@ -52,9 +53,7 @@ def test_an_older_file_is_replaced_and_kept_where_nothing_is_made(config, tmp_pa
     (["--fmu", "a", "--fmu-platform", "irix"], "irix"),
 ])
 def test_bad_input_is_one_line_and_status_2(config, capsys, arguments, words, tmp_path):
-    assert main(["export", config, *arguments]) == 2
-    told = capsys.readouterr().err
-    assert words in told and told.count("\n") == 1
+    assert words in refused(capsys, "export", config, *arguments)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["rig.yaml"]
 
 
