@@ -159,7 +159,6 @@ def test_each_motion_is_asked_alone_and_all_of_a_rig_together():
     tables = simulator.tables_of(DATA, CONFIG, Ground(Path("out"), cases=1))
     assert [q.bags for q in simulator.questions_of(tables)] == [
         ("h03_rich",), ("h03_tri",), ("h03_rich", "h03_tri")]
-    assert [q.name for q in simulator.questions_of(tables, ("both",))] == ["h03_both"]
 
 
 # The triangle.
