@@ -11,14 +11,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from command_tools import refused
 from diagnostic_msgs.msg import DiagnosticArray
 from rig_tools import MULTISINE, simulated
-from ros_tools import Caller, Recorder, listen, start
+from ros_tools import PATIENCE, REPOSITORY, Caller, Recorder, command, end, listen, start
 from std_srvs.srv import Trigger
-from test_ros_processes import PATIENCE, REPOSITORY, command, end
 
 from eha_monitor.balances.machine import machine_of, save
-from eha_monitor.cli import main
 from eha_monitor.live.diagnosing import Adopted, model_of
 from eha_monitor.ros.messages import findings_of
 from eha_monitor.ros.monitor_node import Monitor
@@ -263,10 +262,8 @@ def test_a_change_from_the_healthy_machine_is_told_with_its_time(graph, tmp_path
 def test_a_machine_of_another_rig_is_refused(machine, tmp_path, capfd):
     config = tmp_path / "config.yaml"
     config.write_text("rig: {name: press}")
-    assert main(["monitor", "--config", str(config), "--machine", str(machine)]) == 2
-    said = capfd.readouterr().err
+    said = refused(capfd, "monitor", "--config", config, "--machine", machine)
     assert "the machine of the rig eha, expected that of press" in said
-    assert "Traceback" not in said
 
 
 def live(graph, folder, **diagnosis):
