@@ -6,7 +6,7 @@ The simulator makes rich motion at 1 kHz (two triangle speeds, a multisine to 20
 
 import numpy as np
 import pytest
-from rig_tools import settings, with_channels, without
+from rig_tools import copies, settings, with_channels, without
 from test_live_estimator import Stream, rows_of
 
 from eha_monitor.estimation.pipeline import estimate
@@ -167,7 +167,7 @@ def test_several_at_once_and_live_as_offline():
 def test_a_gap_does_no_harm_to_what_is_remembered():
     recording, effects = recording_of("line_dynamics")
     effects = {**effects, "position_delay": {"T": 0.0}}
-    channels = {name: values.copy() for name, values in recording.channels.items()}
+    channels = copies(recording)
     for name, values in channels.items():
         values[4000:4300] = np.nan
         values[7000 if name == "omega" else 7050] = np.nan

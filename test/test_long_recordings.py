@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 from mcap.reader import make_reader
-from rig_tools import SINE, TRIANGLE, settings, simulated
+from rig_tools import SINE, TRIANGLE, copies, settings, simulated
 
 from eha_monitor.api.answer import judged
 from eha_monitor.estimation.joint import observability
@@ -173,7 +173,7 @@ def rising(seconds):
 @pytest.fixture(scope="module")
 def changing():
     recording = rising(12.0)
-    channels = {name: values.copy() for name, values in recording.channels.items()}
+    channels = copies(recording)
     for values in channels.values():
         values[3000:3040] = np.nan
     channels["x"][7000] += 0.3  # a wild sample

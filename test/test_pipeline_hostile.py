@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
-from rig_tools import BETA, SINE, settings, simulated, with_channels, without
+from rig_tools import BETA, SINE, copies, settings, simulated, with_channels, without
 
 from eha_monitor.estimation.joint import observability
 from eha_monitor.estimation.pipeline import estimate
@@ -17,10 +17,6 @@ from eha_monitor.recordings.recording import CHANNELS, Recording
 @pytest.fixture(scope="module")
 def recording():
     return simulated(SINE, 6.0).recording(0)
-
-
-def copies(recording):
-    return {name: values.copy() for name, values in recording.channels.items()}
 
 
 def sane(found):

@@ -11,7 +11,7 @@ from command_tools import refused
 from hypothesis import given
 from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
-from rig_tools import SINE, settings, simulated
+from rig_tools import SINE, copies, settings, simulated
 
 from eha_monitor.breakdown import computing
 from eha_monitor.cli import main
@@ -34,10 +34,6 @@ EXTREMES = (math.inf, -math.inf, math.nan, 1e308, -1e308, 1e155, 1e30, -1e30, 1e
 @pytest.fixture(scope="module")
 def recording():
     return simulated(SINE, 3.0).recording(0)
-
-
-def copies(recording):
-    return {name: values.copy() for name, values in recording.channels.items()}
 
 
 def run_away(recording):
