@@ -195,7 +195,7 @@ def test_without_areas_it_says_what_is_missing(plain):
 
 
 @given(st.floats(1e-9, 1e9))
-@hypothesis_settings(max_examples=50, deadline=None)
+@hypothesis_settings(max_examples=50)
 def test_amounts_are_round_and_readable(value):
     assert 0.39 * value < rounded(value) <= value * 1.00001
     assert "e+" not in amount(rounded(value), "N") and "e-" not in amount(rounded(value), "N")

@@ -5,7 +5,7 @@ import re
 from pathlib import Path
 
 import pytest
-from hypothesis import HealthCheck, example, given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from pydantic import BaseModel
 
@@ -17,8 +17,7 @@ from eha_monitor.settings.load import annotated
 from eha_monitor.settings.monitor import CHANNELS
 from eha_monitor.settings.rig import Tolerance
 
-QUICK = settings(max_examples=250, deadline=None,
-                 suppress_health_check=[HealthCheck.function_scoped_fixture])
+QUICK = settings(max_examples=250)
 SCALARS = st.one_of(st.none(), st.booleans(), st.integers(), st.floats(), st.text(max_size=12),
                     st.dates(), st.binary(max_size=4), st.sampled_from(
                         ["5 cm^2", "1 m", "-1 m", "nan", "-inf", "1e400", "1 lightyear", "1e6",
@@ -124,8 +123,7 @@ def test_docs_name_every_tolerance_and_its_default():
         assert re.search(rf"^\|[^|]*`{key}`[^|]*\| {shown} \|", text, re.MULTILINE), key
 
 
-@settings(max_examples=25, deadline=None,
-          suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=25)
 @given(data=st.data())
 def test_what_is_valid_survives_being_written(data, tmp_path):
     config = Settings()

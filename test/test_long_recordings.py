@@ -73,7 +73,7 @@ def channels_of(seconds: float, seed: int = 0) -> dict[str, np.ndarray]:
             for name, values in simulated(SINE, seconds).recording(seed).channels.items()}
 
 
-@hypothesis_settings(max_examples=12, deadline=None)
+@hypothesis_settings(max_examples=12)
 @given(st.integers(20_000, 900_000), st.lists(st.tuples(
     st.sampled_from(["x", "p1", "omega", "all"]), st.integers(1500, 5000), st.integers(1, 700)),
     max_size=3), st.booleans())
@@ -185,7 +185,7 @@ def at_once(changing):
     return estimate_held(changing, settings(command_hold="continuous"))
 
 
-@hypothesis_settings(max_examples=8, deadline=None)
+@hypothesis_settings(max_examples=8)
 @given(size=st.integers(130, 9000))
 def test_pieces_give_the_numbers_of_the_whole(changing, at_once, size):
     found = estimate_held(changing, settings(command_hold="continuous"), size)

@@ -84,7 +84,7 @@ def test_a_continuous_channel_has_no_resolution(truths):
 
 
 @given(st.floats(-10, 10), st.floats(-1e3, 1e3))
-@hypothesis_settings(max_examples=30, deadline=None)
+@hypothesis_settings(max_examples=30)
 def test_a_line_is_held_exactly(offset, slope):
     u = offset + slope * 1e-3 * np.arange(200)
     hold = hold_of(u, 0.0)

@@ -166,7 +166,7 @@ def test_spikes_do_not_move_the_estimates(recording):
 
 
 @given(st.data())
-@hypothesis_settings(max_examples=40, deadline=None)
+@hypothesis_settings(max_examples=40)
 def test_any_recording_gives_an_answer(data):
     """Any channels, lengths, sizes and holes: an answer that means something, no exception."""
     names = data.draw(st.lists(st.sampled_from(CHANNELS), unique=True))
