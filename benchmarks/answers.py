@@ -80,7 +80,6 @@ def imported(file: str, config: str, work: Path) -> Path:
 
 def questions(work: Path) -> dict[str, list[object]]:
     """Return name -> arguments of the command that answers, recordings made where missing."""
-    sys.path.insert(0, str(ROOT))
     from eha_monitor.concealed.draws import draw_cases
     from eha_monitor.concealed.generate import write_case
     from eha_monitor.concealed.strangers.draw import draw_rig

@@ -13,8 +13,6 @@ from dataclasses import dataclass
 from math import pi
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).resolve().parent))
-
 import numpy as np
 import record
 from numba import njit

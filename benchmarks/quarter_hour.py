@@ -16,16 +16,12 @@ from dataclasses import dataclass, replace
 from math import pi
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).resolve().parent))
-
 import numpy as np
 import record
 from rich.console import Console
 from rich.table import Table
-from stranger_parts.commands import ROOT, answer_of, shell, shown
+from stranger_parts.commands import answer_of, shell, shown
 from strangers.rigs import Dialect, Rig
-
-sys.path.insert(0, str(ROOT))
 
 from eha_monitor.concealed.strangers.plant import Constants, Drive, Motion, Sensors, recording
 from eha_monitor.settings import load_settings

@@ -26,6 +26,7 @@ from filterpy.kalman import ExtendedKalmanFilter
 ROOT = Path(__file__).resolve().parents[1]
 FIGURES = ROOT / "benchmarks" / "figures"
 DATA = ROOT.parent / "shared" / "data"  # real recordings, which are not in the repository
+sys.path.insert(0, str(ROOT))  # what is measured is this source, whatever is installed
 DOCUMENTED = ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef
 
 

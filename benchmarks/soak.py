@@ -27,10 +27,7 @@ from pathlib import Path
 import numpy as np
 import record
 
-REPOSITORY = Path(__file__).parents[1]
-sys.path.insert(0, str(REPOSITORY))
-
-from eha_monitor.health.overload import OVERLOADED  # noqa: E402  the checkout comes first
+from eha_monitor.health.overload import OVERLOADED
 
 NAMESPACE = "/eha"
 TRUTH = {"viscous_damping": 600.0, "bulk_modulus": 6e8}
@@ -72,7 +69,7 @@ class Child:
     def __init__(self, seed: int):
         self.process = subprocess.Popen(
             [sys.executable, "benchmarks/soak_parts/faulty_publisher.py", str(seed)],
-            cwd=REPOSITORY, text=True, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+            cwd=record.ROOT, text=True, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
         self.said: list[tuple[float, str]] = []
         threading.Thread(target=self._listen, daemon=True).start()
 
@@ -125,7 +122,7 @@ def soak(duration: float, seed: int, kinds: list[str]
 
     seen, faults = Seen(), []
     monitor = subprocess.Popen([sys.executable, "-X", "faulthandler", "-m", "eha_monitor",
-                                "monitor"], cwd=REPOSITORY, text=True, stdout=subprocess.PIPE,
+                                "monitor"], cwd=record.ROOT, text=True, stdout=subprocess.PIPE,
                                stderr=subprocess.PIPE)
     rclpy.init()
     node = rclpy.create_node("soak", namespace=NAMESPACE)

@@ -1,18 +1,14 @@
 """The diagnosis of real recordings, read from beside the repository; skipped where absent."""
 
-import sys
-
 import numpy as np
 import pytest
+from inverse_trial import CASES, MAKERS, right
 from rig_tools import ROOT, real
 
 from eha_monitor.mismatch.data.experiment import by_balances
 from eha_monitor.mismatch.diagnose import diagnose
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings import load_settings
-
-sys.path.insert(0, str(ROOT / "benchmarks"))
-from inverse_trial import CASES, MAKERS, right
 
 
 def test_torque_of_one_direction_cannot_tell_friction_from_load():

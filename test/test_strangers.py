@@ -1,22 +1,15 @@
 """People who have never seen this project: one rig, three mistakes, and how they are scored."""
 
-import sys
-from pathlib import Path
-
 import pytest
+from stranger_parts.commands import Answer, here
+from stranger_parts.mistakes import MISTAKES
+from stranger_parts.scoring import named
+from strangers.check import check
+from strangers.rigs import CHIRP
+from wrong_inputs import Trial
 
-ROOT = Path(__file__).resolve().parent.parent
-sys.path.insert(0, str(ROOT / "benchmarks"))
-
-from stranger_parts.commands import Answer, here  # noqa: E402
-from stranger_parts.mistakes import MISTAKES  # noqa: E402
-from stranger_parts.scoring import named  # noqa: E402
-from strangers.check import check  # noqa: E402
-from strangers.rigs import CHIRP  # noqa: E402
-from wrong_inputs import Trial  # noqa: E402
-
-from eha_monitor.concealed.strangers.draw import draw_rig  # noqa: E402
-from eha_monitor.concealed.strangers.generate import record, truth_of  # noqa: E402
+from eha_monitor.concealed.strangers.draw import draw_rig
+from eha_monitor.concealed.strangers.generate import record, truth_of
 
 BY_NAME = {mistake.name: mistake for mistake in MISTAKES}
 
