@@ -174,7 +174,7 @@ def test_free_run_corrects_nothing_and_a_missing_channel_changes_nothing(run, ex
 # ---- likelihood -------------------------------------------------------------------------------
 
 
-def test_an_unknown_course_of_the_demand_is_no_error_of_a_sensor(run, experiment):
+def test_an_unknown_course_of_the_demand_is_no_error_of_a_sensor(run):
     """A pressure taken from its sensor is taken with the error that the model gives the sensor."""
     config = settings(effects={"pressure_offset": {"b_1": 2.5e4, "b_2": 0.0}})
     recording = run.recording(1)

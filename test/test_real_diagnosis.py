@@ -69,7 +69,7 @@ def test_seals_name_friction_that_grows_with_pressure():
     ("hsm", "coulomb"), ("seals", "coulomb")])
 def test_simulated_rigs_are_told_what_they_have(rig, case):
     found = diagnose(*MAKERS[rig](case, 77))
-    assert right(case, found, CASES[rig][case])
+    assert right(found, CASES[rig][case])
 
 
 def test_balances_of_a_quick_rig_are_taken_as_they_stand():
