@@ -178,16 +178,10 @@ def told(ring, moments=None, after=None, summary=""):
     print(summary)
 
 
-@pytest.mark.slow  # a minute of both cores: simulator, monitor and diagnosis at once
-@pytest.mark.timeout(300)
-def test_an_effect_is_found_adopted_and_taken_back(graph, tmp_path):
-    told(*once(graph, tmp_path, "service"))
-
-
-@pytest.mark.slow
+@pytest.mark.slow  # a minute of both cores each: simulator, monitor and diagnosis at once
 @pytest.mark.timeout(300)
 @pytest.mark.parametrize("adopt", ["automatic"] * 5 + ["service"] * 5)
-def test_the_ring_ten_times(graph, tmp_path, adopt):
+def test_an_effect_is_found_adopted_and_taken_back_ten_times_of_ten(graph, tmp_path, adopt):
     begun = time.monotonic()
     told(*once(graph, tmp_path, adopt))
     assert time.monotonic() - begun < 120
