@@ -23,7 +23,6 @@ from pathlib import Path
 import record
 
 ROOT = Path(__file__).resolve().parent.parent
-DATA = ROOT.parent / "shared" / "data"
 SEED, DRAWS = 7001, 24
 STRANGERS, RIG_RECORDINGS = (0, 1, 2, 3), 4
 DEVIATIONS, RELATIVE = 0.1, 1e-3  # by how much a number may differ
@@ -72,7 +71,7 @@ def imported(file: str, config: str, work: Path) -> Path:
     bag = work / "real" / name.replace("/", "_").replace(".", "_")
     if not bag.exists():
         bag.parent.mkdir(parents=True, exist_ok=True)
-        status, said, _ = command("import", DATA / file, "--map", ROOT / "config"
+        status, said, _ = command("import", record.DATA / file, "--map", ROOT / "config"
                                   / f"{config}.yaml", "--out", bag)
         if status:
             raise SystemExit(said)
@@ -81,7 +80,6 @@ def imported(file: str, config: str, work: Path) -> Path:
 
 def questions(work: Path) -> dict[str, list[object]]:
     """Return name -> arguments of the command that answers, recordings made where missing."""
-    sys.path.insert(0, str(ROOT))
     from eha_monitor.concealed.draws import draw_cases
     from eha_monitor.concealed.generate import write_case
     from eha_monitor.concealed.strangers.draw import draw_rig
@@ -113,8 +111,8 @@ def questions(work: Path) -> dict[str, list[object]]:
         found[f"stranger_{i}_together"] = ["diagnose", *bags, "--config", config]
         found[f"stranger_{i}_reference"] = ["diagnose", bags[0], "--reference", *bags[1:],
                                             "--config", config]
-    if not DATA.is_dir():
-        print(f"{DATA}: not here; without real recordings", file=sys.stderr)
+    if not record.DATA.is_dir():
+        print(f"{record.DATA}: not here; without real recordings", file=sys.stderr)
         return found
     for name in SIMULATOR:
         found[name] = ["diagnose", imported(f"fluid_power_sim/{name}.csv.gz",

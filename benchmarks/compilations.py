@@ -7,7 +7,6 @@ that is empty, and writes ``eha_monitor/signatures.py`` from what they called: a
 what is compiled.
 """
 
-import argparse
 import collections
 import json
 import os
@@ -249,10 +248,9 @@ def show(title: str, lines: list[list], most: int) -> None:
 
 def main() -> None:
     """Compile, run, print."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = record.options(__doc__)
     parser.add_argument("--write", action="store_true", help="eha_monitor/signatures.py")
     parser.add_argument("--most", type=int, default=25, help="functions in the table")
-    record.add_option(parser)
     asked = parser.parse_args()
     with tempfile.TemporaryDirectory() as scratch:
         folder, file = Path(scratch), Path(scratch) / "compiled.jsonl"

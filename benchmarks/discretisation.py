@@ -6,7 +6,6 @@ The paper's sine (4 Hz, 10 mm, 8 s) at several true bulk moduli and position noi
 with `discretisation: exact` and with `discretisation: euler`; also the largest pole of Eq. 5.
 """
 
-import argparse
 from pathlib import Path
 
 import numpy as np
@@ -46,9 +45,8 @@ def recording_of(beta: float, noise: float) -> Recording:
 
 def main() -> None:
     """Print the table and draw the figure."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = record.options(__doc__)
     parser.add_argument("--figure", type=Path)
-    record.add_option(parser)
     given = parser.parse_args()
     figures = {}
     table = Table(title="βe found, in MPa, on the paper's sine; B true is 600 N·s/m")

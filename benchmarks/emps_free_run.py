@@ -9,7 +9,6 @@ test record, which is not here (Janot, Gautier, Brunot 2019; nonlinearbenchmark.
 were fitted to this whole record and run over another of the same motion.
 """
 
-import argparse
 from dataclasses import replace
 from pathlib import Path
 
@@ -35,10 +34,8 @@ MEASURES = ("eha_monitor/mismatch", "eha_monitor/physics")
 
 def main() -> None:
     """Fit, run, print, and record if asked."""
-    options = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    options.add_argument("--data", type=Path, default=ROOT.parent / "shared" / "data")
+    options = record.options(__doc__, data=True)
     options.add_argument("--last", type=float, default=5.0, help="s that no fit sees")
-    record.add_option(options)
     asked = options.parse_args()
     file = asked.data / "emps" / "DATA_EMPS.mat"
     if not file.exists():

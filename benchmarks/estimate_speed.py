@@ -9,7 +9,6 @@ the same bag, in which rosbags hands over each message and numpy takes its last 
 with the smallest and the largest.
 """
 
-import argparse
 import json
 import subprocess
 import sys
@@ -103,9 +102,8 @@ def read_plainly(bag: Path) -> float:
 
 def main() -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = record.options(__doc__)
     parser.add_argument("--rounds", type=int, default=7)
-    record.add_option(parser)
     given = parser.parse_args()
     rounds = given.rounds
     settings = Settings()

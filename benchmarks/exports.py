@@ -7,7 +7,6 @@ rate at each communication point of 1 ms (fmi2SetRealInputDerivatives); ``held``
 Simulink and ``fmpy.simulate_fmu`` do, which makes it half a communication step late.
 """
 
-import argparse
 import sys
 import tempfile
 import time
@@ -30,9 +29,7 @@ DT = 1e-3
 
 def main() -> None:
     """Export, run, compare, print, and record if asked."""
-    options = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    record.add_option(options)
-    asked = options.parse_args()
+    asked = record.options(__doc__).parse_args()
     samples, line, cost = round(SECONDS / DT), [], []
     with tempfile.TemporaryDirectory() as folder:
         for name, effects in CASES.items():

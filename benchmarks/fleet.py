@@ -9,7 +9,6 @@ are bags an hour and core, and the hours that 1 000 bags take on this machine an
 hundred such cores; the share of a second worker shows what handing over costs.
 """
 
-import argparse
 import os
 import shutil
 import subprocess
@@ -29,11 +28,10 @@ COMMANDS = ("estimate", "diagnose")
 
 def main() -> None:
     """Measure, print, and record if asked."""
-    options = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    options = record.options(__doc__)
     options.add_argument("--bags", type=int, default=FLEET, help="through estimate")
     options.add_argument("--diagnosed", type=int, default=60, help="of these through diagnose")
     options.add_argument("--folder", type=Path, help="of the bags; 8 MB each")
-    record.add_option(options)
     given = options.parse_args()
     figures, cores = {}, len(os.sched_getaffinity(0))
     with tempfile.TemporaryDirectory(dir=given.folder, prefix="fleet_") as place:

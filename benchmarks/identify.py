@@ -9,7 +9,6 @@ against them.
     python benchmarks/identify.py --rigs 3 --seed 7 --record
 """
 
-import argparse
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -125,11 +124,10 @@ def settings_of(case: Case) -> Settings:
 
 def main() -> None:
     """Run, print, and write the figures on request."""
-    options = argparse.ArgumentParser(description=__doc__)
+    options = record.options(__doc__)
     options.add_argument("--rigs", type=int, default=3)
     options.add_argument("--seed", type=int, default=7)
     options.add_argument("--probability", type=float, default=0.95)
-    record.add_option(options)
     given = options.parse_args()
     rows: dict[str, list[tuple[float, bool, bool]]] = {}
     exceeded, worst = 0, {}

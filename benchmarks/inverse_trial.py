@@ -132,7 +132,7 @@ def seals(case, seed):
 MAKERS = {"eha": eha, "hsm": hsm, "seals": seals}
 
 
-def right(case, found, wanted):
+def right(found, wanted):
     """Tell whether a diagnosis says what is there, and nothing more than its class."""
     names = [effect.name for effect in found.effects]
     if not wanted:
@@ -158,7 +158,7 @@ def main() -> None:
             said, good, alone, began = Counter(), 0, 0, time.perf_counter()
             for k in range(options.draws):
                 found = diagnose(*MAKERS[rig](case, options.seed * 1000 + k))
-                good += right(case, found, wanted)
+                good += right(found, wanted)
                 alone += len(found.effects) <= bool(wanted)
                 said[f"{found.verdict} " + "+".join(e.name for e in found.effects)] += 1
             row = (rig, case, f"{good}/{options.draws}", f"{alone}/{options.draws}",

@@ -8,7 +8,6 @@ squared error of the force balance on unseen data each takes away, their ratio (
 the formula that was learned.
 """
 
-import argparse
 from pathlib import Path
 
 import numpy as np
@@ -36,10 +35,7 @@ MEASURES = ("eha_monitor/mismatch", "eha_monitor/physics")
 
 def main() -> None:
     """Diagnose, print, and record if asked."""
-    options = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    options.add_argument("--data", type=Path, default=ROOT.parent / "shared" / "data")
-    record.add_option(options)
-    asked = options.parse_args()
+    asked = record.options(__doc__, data=True).parse_args()
     load_runtime()
     table, figures, ratios = Table("recording", "named", "learned", "ratio", "as"), {}, []
     for rig, files in RECORDS.items():

@@ -10,7 +10,6 @@ model does not fit) wherever it is determined.  Both are compared in what the co
 volumes make of them: a volume that is 10 % off moves beta_e by 10 %.
 """
 
-import argparse
 import sys
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
@@ -56,11 +55,10 @@ def rig_errors(seed: int, place: int) -> list[tuple[str, str, float, float]]:
 
 def main() -> int:
     """Print, and record, what both get right."""
-    options = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    options = record.options(__doc__)
     options.add_argument("--rigs", type=int, default=24)
     options.add_argument("--seed", type=int, default=16001)
     options.add_argument("--jobs", type=int, default=2)
-    record.add_option(options)
     asked = options.parse_args()
     with ProcessPoolExecutor(asked.jobs) as pool:
         rows = [row for rows in pool.map(rig_errors, [asked.seed] * asked.rigs,

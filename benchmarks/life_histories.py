@@ -17,7 +17,6 @@ recording by recording (:mod:`eha_monitor.archive.history`).  Measured:
 Four minutes of a core; with ``--keep`` a run that was ended goes on where it was.
 """
 
-import argparse
 import json
 import math
 import time
@@ -211,12 +210,11 @@ def summary(lives: list[dict]) -> dict:
 
 def main() -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = record.options(__doc__)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--lives", type=int, default=500)
     parser.add_argument("--healthy", type=int, default=1000)
     parser.add_argument("--keep", type=Path, metavar="FILE", help="results so far")
-    record.add_option(parser)
     given = parser.parse_args()
     started = time.perf_counter()
     found = summary(followed(given.seed, given.lives, given.healthy, given.keep))

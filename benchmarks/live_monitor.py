@@ -20,12 +20,13 @@ import argparse
 import os
 import re
 import signal
+import struct
+import subprocess
 import sys
 import tempfile
 import time
 from pathlib import Path
 
-import many_actuators as many
 import numpy as np
 import record
 
@@ -33,20 +34,26 @@ TARGET = 0.15  # of the reference
 MARGIN_MS = 10.0  # beyond one publishing period, 99 % of the rows
 MEASURED = tuple(f"eha_monitor/{room}" for room in (
     "estimation", "live", "health", "recordings", "ros"))
+BURST = 0.001  # s between two bursts of what is due
+STAMP = struct.Struct("<iI")
+STAMP_AT = 4  # a header comes first, behind the four bytes of the encapsulation
 UNITS = {"p50": "ms", "p99": "ms", "most": "ms", "share": "% of a core"}
 
 
 def main() -> int:
-    """Run the benchmark or, as a child of it, the reference; 1 if anything was lost."""
-    options = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    """Run the benchmark or, as a child of it, reference or publishers; 1 if anything was lost."""
+    options = record.options(__doc__)
     options.add_argument("--counts", type=int, nargs="+", default=[1, 10], metavar="N")
     options.add_argument("--duration", type=float, default=20.0, metavar="SECONDS")
     options.add_argument("--rate", type=float, default=10.0, metavar="HZ",
                          help="monitor.publish_rate")
-    record.add_option(options)
     options.add_argument("--reference", choices=("callbacks", "middleware"),
                          help=argparse.SUPPRESS)
+    options.add_argument("--publish", type=int, default=0, help=argparse.SUPPRESS)
     given = options.parse_args()
+    if given.publish:
+        publish(given.publish, given.duration)
+        return 0
     if given.reference:
         reference_node(takes=given.reference == "callbacks")
         return 0
@@ -57,10 +64,7 @@ def main() -> int:
         return 2
     lost, figures = 0, {}
     with tempfile.TemporaryDirectory() as folder:
-        os.environ.update({
-            "ROS_DOMAIN_ID": str(1 + os.getpid() % 100), **os.environ,
-            "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "ROS_LOG_DIR": folder,
-            "PYTHONPATH": str(many.REPOSITORY), "OPENBLAS_NUM_THREADS": "1"})
+        record.own_graph(folder)
         config = Path(folder) / "config.yaml"
         config.write_text(f"monitor: {{publish_rate: {given.rate}}}\n")
         callbacks = measure_reference("callbacks", given.duration, cores)
@@ -97,15 +101,15 @@ def main() -> int:
 
 def fed(process, count: int, duration: float, core: int) -> tuple[float, float, str]:
     """Publish to a process; return its share of a core, the samples sent, and what was late."""
-    sender = many.start(core, many.__file__, "--publish", str(count), "--duration", str(duration))
+    sender = start(core, __file__, "--publish", str(count), "--duration", str(duration))
     try:
         used, said = [], ""
         for line in sender.stdout:  # "begin", "end": while messages come
-            used.append((many.processor_time(process.pid), time.monotonic()))
+            used.append((processor_time(process.pid), time.monotonic()))
             said = line
         sender.wait(timeout=60)
     finally:
-        many.end(sender)
+        end(sender)
     own, wall = np.subtract(*reversed(used))
     sent, behind = (float(number) for number in re.findall(r"[\d.]+", said))
     return own / wall, sent, (
@@ -115,14 +119,14 @@ def fed(process, count: int, duration: float, core: int) -> tuple[float, float, 
 def measure(count: int, duration: float, config: Path, cores: list[int],
             reference: float) -> dict[str, float]:
     """Run one monitor with ``count`` actuators; print its row of the table and return it."""
-    actuators = [f"--actuator={name}={config}" for name in many.names_of(count)]
-    monitor = many.start(cores[0], "-m", "eha_monitor", "monitor", *actuators)
+    actuators = [f"--actuator={name}={config}" for name in names_of(count)]
+    monitor = start(cores[0], "-m", "eha_monitor", "monitor", *actuators)
     try:
         share, sent, note = fed(monitor, count, duration, cores[1])
         monitor.send_signal(signal.SIGINT)
         summaries = monitor.communicate(timeout=60)[0].strip().splitlines()
     finally:
-        many.end(monitor)
+        end(monitor)
 
     def numbers(pattern: str) -> list[float]:
         return [float(found[1]) for line in summaries if (found := re.search(pattern, line))]
@@ -143,11 +147,11 @@ def measure(count: int, duration: float, config: Path, cores: list[int],
 
 def measure_reference(what: str, duration: float, cores: list[int]) -> float:
     """Return the share of a core of one actuator's topics, with empty callbacks or alone."""
-    node = many.start(cores[0], __file__, "--reference", what)
+    node = start(cores[0], __file__, "--reference", what)
     try:
         return fed(node, 1, duration, cores[1])[0]
     finally:
-        many.end(node)
+        end(node)
 
 
 def reference_node(takes: bool) -> None:
@@ -159,7 +163,7 @@ def reference_node(takes: bool) -> None:
     from eha_monitor.ros.topics import INPUT_QOS
 
     rclpy.init()
-    node = rclpy.create_node("reference", namespace=f"/{many.names_of(1)[0]}")
+    node = rclpy.create_node("reference", namespace=f"/{names_of(1)[0]}")
     for kind, topic in ((JointState, "joint_states"), (JointState, "command"),
                         (FluidPressure, "pressure/chamber_1"),
                         (FluidPressure, "pressure/chamber_2")):
@@ -172,6 +176,72 @@ def reference_node(takes: bool) -> None:
             executor.spin_once(timeout_sec=1.0)
         else:
             time.sleep(1.0)
+
+
+def names_of(count: int) -> list[str]:
+    """Return the names of the actuators."""
+    return [f"actuator_{k + 1}" for k in range(count)]
+
+
+def start(core: int, *arguments: str) -> subprocess.Popen:
+    """Start Python on one core."""
+    return subprocess.Popen([sys.executable, *arguments], cwd=record.ROOT, text=True,
+                            stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,
+                            preexec_fn=lambda: os.sched_setaffinity(0, {core}))
+
+
+def end(process: subprocess.Popen) -> None:
+    """Make sure that a process has ended."""
+    if process.poll() is None:
+        process.kill()
+    process.communicate()
+
+
+def processor_time(pid: int) -> float:
+    """Return the processor time that a process has used, s."""
+    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
+def publish(count: int, duration: float) -> None:
+    """Publish the inputs of several actuators in real time."""
+    import rclpy
+    from rclpy.qos import QoSProfile, ReliabilityPolicy
+
+    from eha_monitor.physics.simulator import Simulator
+    from eha_monitor.recordings.write import messages_of
+    from eha_monitor.ros.topics import message_class
+    from eha_monitor.settings import Settings
+
+    samples = round(duration * 1000)
+    streams = messages_of(Simulator(Settings(), 1).advance(samples), np.arange(samples), "")
+    rclpy.init()
+    node = rclpy.create_node("publishers")
+    quality = QoSProfile(depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT)
+    outputs = [[(node.create_publisher(message_class(s.msgtype), f"/{name}{s.topic}", quality),
+                 bytearray(s.data.tobytes()), s.data.shape[1]) for s in streams]
+               for name in names_of(count)]
+    while not all(p.get_subscription_count() for actuator in outputs for p, _, _ in actuator):
+        time.sleep(0.05)
+    time.sleep(1.0)  # the monitor, too, must have heard of each publisher
+    print("begin", flush=True)
+    sent, behind, begin = 0, 0.0, time.monotonic()
+    begin_ns = time.time_ns()
+    while sent < samples:
+        due = min(samples, int((time.monotonic() - begin) * 1000) + 1)
+        for k in range(sent, due):
+            stamp_ns = begin_ns + k * 1_000_000
+            behind = max(behind, (time.time_ns() - stamp_ns) * 1e-6)
+            for actuator in outputs:
+                for publisher, data, length in actuator:
+                    at = k * length
+                    STAMP.pack_into(data, at + STAMP_AT, *divmod(stamp_ns, 1_000_000_000))
+                    publisher.publish(bytes(data[at:at + length]))
+        sent = due
+        time.sleep(BURST)
+    print(f"end {sent} {behind:.2f}", flush=True)
+    time.sleep(1.0)  # what is under way arrives before the publishers go
+    rclpy.try_shutdown()
 
 
 if __name__ == "__main__":

@@ -28,12 +28,11 @@ ASKED_MB = 500.0
 
 def main() -> None:
     """Measure, print, and record if asked."""
-    options = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    options = record.options(__doc__)
     options.add_argument("--minutes", type=int, nargs="+", default=[1, 4, 16, 60])
     options.add_argument("--commands", nargs="+", choices=COMMANDS, default=list(COMMANDS))
     options.add_argument("--folder", type=Path, help="of the bags; 0.5 GB for an hour")
     options.add_argument("--write", nargs=2, metavar=("MINUTES", "BAG"), help=argparse.SUPPRESS)
-    record.add_option(options)
     asked = options.parse_args()
     if asked.write:
         write_messages(int(asked.write[0]), Path(asked.write[1]))

@@ -9,13 +9,10 @@ The structure and the policy were chosen on amplitude 2; amplitude 4 is the judg
 rigs are drawn from a seed that nothing was chosen on.
 """
 
-import argparse
 import itertools
 import sys
 import time
 from pathlib import Path
-
-sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 import numpy as np
 import record
@@ -36,7 +33,7 @@ from eha_monitor.recordings.importing import read_table
 from eha_monitor.settings import load_settings
 
 ROOT = Path(__file__).resolve().parents[1]
-DATA = ROOT.parent / "shared" / "data" / "ivliev_eha_days"
+DATA = record.DATA / "ivliev_eha_days"
 MEASURES = ("eha_monitor/balances", "benchmarks/machine.py")
 DAYS, LOADS = (18, 21), (1, 2, 3, 4, 5)
 KINDS = ("force", "flow")
@@ -167,10 +164,9 @@ def within(value: float, stddev: float, low: float, high: float) -> bool:
 
 def main() -> int:
     """Run it and print its tables."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = record.options(__doc__)
     parser.add_argument("--seed", type=int, default=91)
     parser.add_argument("--rigs", type=int, default=8)
-    record.add_option(parser)
     asked = parser.parse_args()
     figures = {}
 

@@ -7,14 +7,11 @@ polytropic chambers, a torque-controlled shaft), without and with dry friction, 
 imported with its config in `config/`, estimated and diagnosed.  The truth is printed beside it.
 """
 
-import argparse
 import sys
 import tempfile
 from dataclasses import dataclass
 from math import pi
 from pathlib import Path
-
-sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 import numpy as np
 import record
@@ -210,11 +207,10 @@ def off(parameter: dict | None, truth: float) -> float:
 
 def main() -> int:
     """Run it and print its table."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = record.options(__doc__)
     parser.add_argument("--machines", nargs="+", choices=list(MACHINES), default=list(MACHINES))
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--no-diagnose", action="store_true")
-    record.add_option(parser)
     asked = parser.parse_args()
     table, figures = Table(title="machines that are no pump-controlled actuator"), {}
     for head in ("machine", "truth", "estimate B", "off", "model", "diagnose", "B then", "off"):

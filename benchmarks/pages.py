@@ -17,6 +17,7 @@ from pathlib import Path
 
 from pages_parts.browser import Browser
 from pages_parts.cases import CASES, Folder
+from record import DATA
 from rich.console import Console
 from rich.table import Table
 
@@ -35,7 +36,7 @@ def main() -> None:
     options.add_argument("--out", type=Path, default=ROOT / "out" / "pages")
     options.add_argument("--only", nargs="+", default=list(CASES), choices=list(CASES))
     options.add_argument("--redo", action="store_true", help="make the answers anew")
-    options.add_argument("--data", type=Path, default=ROOT.parent / "shared" / "data")
+    options.add_argument("--data", type=Path, default=DATA)
     options.add_argument("--images", action="store_true", help="docs/images of pages, too")
     asked = options.parse_args()
     if asked.redo:

@@ -11,7 +11,6 @@ filters:
 * joint: both from x, p1, p2 given x_d.
 """
 
-import argparse
 import tempfile
 from pathlib import Path
 
@@ -110,9 +109,8 @@ def case(name: str, motion: dict, rig: dict[str, float], seeds: int, console: Co
 
 def main() -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = record.options(__doc__)
     parser.add_argument("--seeds", type=int, default=200)
-    record.add_option(parser)
     given = parser.parse_args()
     seeds = given.seeds
     console = Console(width=132)

@@ -11,7 +11,6 @@ compared; a change counts as better or worse by what was concealed.  What was fo
 kept in ``--work``, so that a sweep can be stopped and goes on.
 """
 
-import argparse
 import importlib
 import json
 import sys
@@ -136,13 +135,12 @@ def right(names: tuple[str, ...], rivals: dict, truth: dict) -> bool:
 
 def main() -> None:
     """Print and record what moved."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = record.options(__doc__)
     parser.add_argument("--work", type=Path, required=True, help="folder of what was found")
     parser.add_argument("--weighed", nargs="*", default=WEIGHED)
     parser.add_argument("--searched", nargs="*", default=SEARCHED)
     parser.add_argument("--numerics", action="store_true", help="vary what bounds the search too")
     parser.add_argument("--jobs", type=int, default=1)
-    record.add_option(parser)
     given = parser.parse_args()
     from eha_monitor.mismatch.policy import POLICY
 

@@ -8,7 +8,6 @@ The table says at which commit the answers were given; a result of other source 
 this where the trial was run.
 """
 
-import argparse
 import json
 import statistics
 import sys
@@ -24,9 +23,8 @@ def main() -> int:
     """Print the rows of a result, and record them if asked; 2 where the result is another's."""
     from eha_monitor.prove.trial import source_digest
 
-    options = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    options = record.options(__doc__)
     options.add_argument("result", type=Path, help="what `prove --json` wrote")
-    record.add_option(options)
     given = options.parse_args()
     found = json.loads(given.result.read_text(encoding="utf-8"))
     ground = found.get("ground", "draws")

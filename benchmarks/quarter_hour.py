@@ -8,7 +8,6 @@ charge pressure), `import`, `estimate`, each as a process of its own.  Printed: 
 was guessed rightly and wrongly, the errors of B and beta_e.
 """
 
-import argparse
 import datetime
 import sys
 import tempfile
@@ -17,16 +16,12 @@ from dataclasses import dataclass, replace
 from math import pi
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).resolve().parent))
-
 import numpy as np
 import record
 from rich.console import Console
 from rich.table import Table
-from stranger_parts.commands import ROOT, answer_of, shell, shown
+from stranger_parts.commands import answer_of, shell, shown
 from strangers.rigs import Dialect, Rig
-
-sys.path.insert(0, str(ROOT))
 
 from eha_monitor.concealed.strangers.plant import Constants, Drive, Motion, Sensors, recording
 from eha_monitor.settings import load_settings
@@ -262,11 +257,10 @@ def show(played: list[Played]) -> None:
 
 def main() -> int:
     """Run it and print its table."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = record.options(__doc__)
     parser.add_argument("--cases", nargs="+", choices=list(CASES), default=list(CASES))
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--keep", type=Path, metavar="DIR", help="keep files and configs here")
-    record.add_option(parser)
     asked = parser.parse_args()
     with tempfile.TemporaryDirectory(prefix="quarter_hour_") as folder:
         place = asked.keep or Path(folder)

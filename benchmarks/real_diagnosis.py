@@ -5,7 +5,6 @@
 The recordings state no licence, so they stay where they are; without them this says so and ends.
 """
 
-import argparse
 import json
 import subprocess
 import sys
@@ -102,23 +101,13 @@ def row_of(config: str, files: tuple[str, ...], data: Path, folder: Path) -> tup
     return found["verdict"], names, reached(config, found), left, share, seconds
 
 
-def options_of(description: str) -> argparse.Namespace | None:
-    """Return the folder of recordings and the config that is run; None where there are none."""
-    parser = argparse.ArgumentParser(description=description)
-    parser.add_argument("--data", type=Path, default=ROOT.parent / "shared" / "data")
-    parser.add_argument("--only", default="", help="config whose recordings are run")
-    record.add_option(parser)
-    options = parser.parse_args()
-    if options.data.is_dir():
-        return options
-    print(f"{options.data}: not here; the real recordings are not part of this repository")
-    return None
-
-
 def main() -> None:
     """Print the table."""
-    options = options_of(__doc__.splitlines()[0])
-    if options is None:
+    parser = record.options(__doc__, data=True)
+    parser.add_argument("--only", default="", help="config whose recordings are run")
+    options = parser.parse_args()
+    if not options.data.is_dir():
+        print(f"{options.data}: not here; the real recordings are not part of this repository")
         return
     table = Table(title="diagnose on recordings that this project did not make", show_lines=True)
     for head in ("recording", "has to be", "verdict", "named", "reached", "force left, N",

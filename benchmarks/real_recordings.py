@@ -5,7 +5,6 @@
 The recordings state no licence, so they stay where they are; without them this says so and ends.
 """
 
-import argparse
 import json
 import subprocess
 import sys
@@ -60,10 +59,7 @@ def shown(parameter: dict, expected: str = "") -> str:
 
 def main() -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--data", type=Path, default=ROOT.parent / "shared" / "data")
-    record.add_option(parser)
-    given = parser.parse_args()
+    given = record.options(__doc__, data=True).parse_args()
     data, figures = given.data, {}
     if not data.is_dir():
         print(f"{data}: not here; the real recordings are not part of this repository")

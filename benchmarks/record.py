@@ -25,13 +25,32 @@ from filterpy.kalman import ExtendedKalmanFilter
 
 ROOT = Path(__file__).resolve().parents[1]
 FIGURES = ROOT / "benchmarks" / "figures"
+DATA = ROOT.parent / "shared" / "data"  # real recordings, which are not in the repository
+sys.path.insert(0, str(ROOT))  # what is measured is this source, whatever is installed
 DOCUMENTED = ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef
 
 
-def add_option(options: argparse.ArgumentParser) -> None:
-    """Add ``--record`` to the options of a benchmark."""
-    options.add_argument("--record", action="store_true",
-                         help="write what is measured to benchmarks/figures")
+def options(words: str, data: bool = False) -> argparse.ArgumentParser:
+    """Return the options of a benchmark: ``--record``, and ``--data`` of one on real recordings.
+
+    Parameters
+    ----------
+    words : its docstring, whose first line the help shows.
+    """
+    made = argparse.ArgumentParser(description=words.splitlines()[0])
+    made.add_argument("--record", action="store_true",
+                      help="write what is measured to benchmarks/figures")
+    if data:
+        made.add_argument("--data", type=Path, default=DATA)
+    return made
+
+
+def own_graph(logs: str) -> None:
+    """Give this process and its children a ROS graph of their own, and this source."""
+    os.environ.update({
+        "ROS_DOMAIN_ID": str(1 + os.getpid() % 100), **os.environ,
+        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "ROS_LOG_DIR": logs,
+        "PYTHONPATH": str(ROOT), "OPENBLAS_NUM_THREADS": "1"})
 
 
 def spread(values: object, unit: str = "") -> dict:

@@ -8,7 +8,6 @@ other strokes must not be called changed, and each stroke of unit 1 must be, wit
 named.  The last lines take the first three quarters in order of time: the unit drifts.
 """
 
-import argparse
 from pathlib import Path
 
 import numpy as np
@@ -29,11 +28,9 @@ MEASURES = ("eha_monitor/balances", "eha_monitor/physics")
 
 def main() -> None:
     """Compare, print, and record if asked."""
-    options = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    options.add_argument("--data", type=Path, default=ROOT.parent / "shared" / "data")
+    options = record.options(__doc__, data=True)
     options.add_argument("--splits", type=int, default=100)
     options.add_argument("--seed", type=int, default=5)
-    record.add_option(options)
     asked = options.parse_args()
     files = sorted((asked.data / "flo_tork").glob("*.csv.gz"))
     if not files:

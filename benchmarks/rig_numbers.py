@@ -7,7 +7,6 @@ sensors' noise) is estimated with each rig number 1 % too large.  The table is t
 estimate in per cent: 1.00 means that the error is handed on as it is.
 """
 
-import argparse
 
 import record
 
@@ -29,9 +28,7 @@ LOST = 100.0  # %
 
 def main() -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    record.add_option(parser)
-    given = parser.parse_args()
+    given = record.options(__doc__).parse_args()
     figures = {}
     settings = settings_from_tree({"simulation": {"excitation": MOTION}}, "rig_numbers")
     plant = Simulator(settings, seed=1)

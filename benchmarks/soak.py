@@ -11,7 +11,6 @@ the rate, is no word on the plant).  The monitor must live, and its memory must 
 status is 1 if one of these is missed.
 """
 
-import argparse
 import json
 import os
 import random
@@ -28,10 +27,7 @@ from pathlib import Path
 import numpy as np
 import record
 
-REPOSITORY = Path(__file__).parents[1]
-sys.path.insert(0, str(REPOSITORY))
-
-from eha_monitor.health.overload import OVERLOADED  # noqa: E402  the checkout comes first
+from eha_monitor.health.overload import OVERLOADED
 
 NAMESPACE = "/eha"
 TRUTH = {"viscous_damping": 600.0, "bulk_modulus": 6e8}
@@ -73,7 +69,7 @@ class Child:
     def __init__(self, seed: int):
         self.process = subprocess.Popen(
             [sys.executable, "benchmarks/soak_parts/faulty_publisher.py", str(seed)],
-            cwd=REPOSITORY, text=True, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+            cwd=record.ROOT, text=True, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
         self.said: list[tuple[float, str]] = []
         threading.Thread(target=self._listen, daemon=True).start()
 
@@ -94,18 +90,14 @@ class Child:
 
 def main() -> int:
     """Run the soak; the exit status is 1 if a demand is missed."""
-    options = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    options = record.options(__doc__)
     options.add_argument("--minutes", type=float, default=10.0)
     options.add_argument("--seed", type=int, default=0)
     options.add_argument("--kinds", nargs="+", choices=list(WORDS), default=list(WORDS))
     options.add_argument("--log", type=Path, help="write what was seen to a JSON file")
-    record.add_option(options)
     given = options.parse_args()
     with tempfile.TemporaryDirectory() as folder:
-        os.environ.update({
-            "ROS_DOMAIN_ID": str(1 + os.getpid() % 100), **os.environ,
-            "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "ROS_LOG_DIR": folder,
-            "PYTHONPATH": str(REPOSITORY), "OPENBLAS_NUM_THREADS": "1"})
+        record.own_graph(folder)
         faults, seen, status, said = soak(given.minutes * 60.0, given.seed, given.kinds)
     if given.log:
         given.log.write_text(json.dumps({"faults": [vars(f) for f in faults], **vars(seen)}))
@@ -130,7 +122,7 @@ def soak(duration: float, seed: int, kinds: list[str]
 
     seen, faults = Seen(), []
     monitor = subprocess.Popen([sys.executable, "-X", "faulthandler", "-m", "eha_monitor",
-                                "monitor"], cwd=REPOSITORY, text=True, stdout=subprocess.PIPE,
+                                "monitor"], cwd=record.ROOT, text=True, stdout=subprocess.PIPE,
                                stderr=subprocess.PIPE)
     rclpy.init()
     node = rclpy.create_node("soak", namespace=NAMESPACE)

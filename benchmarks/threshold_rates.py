@@ -8,7 +8,6 @@ sensor noise, estimated, limits proposed from some of them, and the alarms' own 
 others.  The stated rates are 5 % and 0.5 % there, so that there is something to count.
 """
 
-import argparse
 import sys
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
@@ -110,12 +109,11 @@ def _levels(time: np.ndarray, series: dict, settings) -> dict[str, int]:
 
 def main() -> int:
     """Run it and print its tables."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = record.options(__doc__)
     parser.add_argument("--recordings", type=int, default=240)
     parser.add_argument("--groups", type=int, default=300)
     parser.add_argument("--draws", type=int, default=20_000)
     parser.add_argument("--jobs", type=int, default=1)
-    record.add_option(parser)
     asked = parser.parse_args()
     rng = np.random.default_rng(1)
     figures, console = {}, Console(width=120)

@@ -13,13 +13,10 @@ that is not of kind `hold`, and every refusal, is a false word.
 
 import argparse
 import json
-import sys
 import tempfile
 from collections import Counter
 from dataclasses import asdict, dataclass
 from pathlib import Path
-
-sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 from rich.console import Console
 from rich.table import Table

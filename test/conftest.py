@@ -10,7 +10,13 @@ import shutil
 import tempfile
 import time
 
+import hypothesis
 import pytest
+
+# A busy machine is no error of a test; a folder may hold what the example before has left there.
+hypothesis.settings.register_profile("here", deadline=None, suppress_health_check=[
+    hypothesis.HealthCheck.function_scoped_fixture])
+hypothesis.settings.load_profile("here")
 
 
 def _domain() -> tuple[int, object]:

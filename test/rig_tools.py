@@ -5,13 +5,19 @@ config's defaults cannot change what the tests expect.
 """
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
+import pytest
 from scipy.linalg import expm
 
 from eha_monitor.physics.simulator import Simulator
+from eha_monitor.recordings.importing import read_table
 from eha_monitor.recordings.recording import Recording
-from eha_monitor.settings import Settings, settings_from_tree
+from eha_monitor.settings import Settings, load_settings, settings_from_tree
+
+ROOT = Path(__file__).resolve().parent.parent
+DATA = ROOT.parent / "shared" / "data"  # the real recordings: not here, as they state no licence
 
 A, B, C_T, D_P, K_POS, M, T_S, V0, BETA = (
     5.05e-4, 600.0, 5e-13, 1.6925e-7, 23000.0, 20.0, 1e-3, 6.85e-5, 6e8)
@@ -85,6 +91,19 @@ def simulated(shape: dict, seconds: float, rig=None, effects=None, **simulation)
                       simulation=motion(shape, seconds, **simulation))
     truth = Simulator(config).advance_truth(round(seconds / config.rig.sample_time))
     return Run(config, truth)
+
+
+def real(rig: str, *files: str) -> tuple[list[Recording], Settings]:
+    """Return recordings and settings of a real rig; skips where they are not here."""
+    if not (DATA / files[0]).exists():
+        pytest.skip(f"{DATA / files[0]} is not here")
+    config = load_settings(ROOT / "config" / f"{rig}.yaml")
+    return [read_table(DATA / file, config) for file in files], config
+
+
+def copies(recording: Recording) -> dict[str, np.ndarray]:
+    """Return the channels to be changed."""
+    return {name: values.copy() for name, values in recording.channels.items()}
 
 
 def without(recording: Recording, *names: str) -> Recording:

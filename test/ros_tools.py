@@ -1,6 +1,12 @@
-"""What the tests of the nodes share: an estimator that records, a sender, service calls."""
+"""What the tests of the nodes share: a recording estimator, a sender, service calls, processes."""
 
 import math
+import os
+import signal
+import subprocess
+import sys
+from contextlib import contextmanager
+from pathlib import Path
 
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
@@ -13,6 +19,9 @@ from eha_monitor.ros import messages
 from eha_monitor.ros.monitor_node import Monitor
 from eha_monitor.settings import settings_from_tree
 
+REPOSITORY = Path(__file__).parents[1]
+# The first run after a change of the sources compiles the model.
+PATIENCE = 90.0
 MS = 1_000_000
 BEST_EFFORT = QoSProfile(depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT)
 START_NS = 1_700_000_000 * 1_000_000_000
@@ -139,3 +148,27 @@ def listen(graph, kind, topic, qos=10):
 
 def levels(array):
     return {status.name: status.level for status in array.status}
+
+
+@contextmanager
+def command(*arguments):
+    """Run a command of the package; it is ended with SIGTERM if the test has not done so."""
+    process = subprocess.Popen(
+        [sys.executable, "-m", "eha_monitor", *map(str, arguments)], cwd=REPOSITORY,
+        env={**os.environ, "PYTHONPATH": str(REPOSITORY)}, text=True,
+        stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    try:
+        yield process
+    finally:
+        if process.poll() is None:
+            process.kill()
+        process.communicate()
+
+
+def end(process, how=signal.SIGTERM):
+    """End a command with a signal; returns its stdout.  It must end cleanly."""
+    process.send_signal(how)
+    out, err = process.communicate(timeout=30)
+    assert process.returncode == 0, err
+    assert "Traceback" not in err, err
+    return out

@@ -256,7 +256,7 @@ def test_tiny(n):
     assert len(of(np.zeros(n), wave(TIME[:n]))) == 1
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(stamps=st.lists(st.integers(0, 2**62) | st.integers(0, 40).map(lambda k: k * 10**6),
                        min_size=1, max_size=40),
        other=st.lists(st.integers(0, 2**62) | st.integers(0, 40).map(lambda k: k * 10**6),

@@ -11,6 +11,7 @@ from urllib.parse import unquote
 import numpy as np
 import pytest
 from archive_tools import here, killed_by_three
+from command_tools import refused
 from diagnosis_tools import coulomb, everything
 from test_reports import Page
 
@@ -66,15 +67,6 @@ def answered(folder) -> Path:
 
 def rows_of(out: Path, command: str = "estimate") -> dict[str, dict]:
     return {row["bag"]: row for row in read_table(out / f"{command}.parquet")[0]}
-
-
-def complaint(capsys, *arguments) -> str:
-    """Run a command that must fail with status 2, and return its one line."""
-    assert main([str(a) for a in arguments]) == 2
-    err = capsys.readouterr().err
-    assert err.startswith("eha_monitor: ")
-    assert err.count("\n") == 1, err
-    return err
 
 
 def counted(monkeypatch) -> list[str]:
@@ -133,7 +125,7 @@ def test_rows_are_what_the_single_bag_says(folder, answered, tmp_path, capsys):
             assert rows[name][key] == value, (name, key)
         assert rows[name]["error"] is None
     assert rows["november/n10"]["start"] == "2026-09-23T14:13:20.000000000Z"
-    broken = complaint(capsys, "estimate", folder / "november/cut.mcap")
+    broken = refused(capsys, "estimate", folder / "november/cut.mcap")
     assert rows["november/cut.mcap"]["error"] in broken
     assert rows["november/cut.mcap"]["B"] is None
 
@@ -168,7 +160,7 @@ def test_a_row_leads_to_the_report_of_its_recording(folder, tmp_path, monkeypatc
     os.utime(store.report_of(row["bag"]), (1, 1))
     assert not store.has_report(row)
     assert store.report_of("../../x").resolve().is_relative_to(out.resolve())
-    assert "--reports is for a folder" in complaint(
+    assert "--reports is for a folder" in refused(
         capsys, "estimate", folder / "october/n0", "--reports")
 
 
@@ -275,7 +267,7 @@ def test_a_killed_run_leaves_its_journal(tmp_path):
     (["estimate", "{folder}", "--out", "{folder}/october/n1.mcap"], "n1.mcap"),
 ])
 def test_bad_usage_is_one_line_before_any_work(folder, capsys, arguments, words):
-    told = complaint(capsys, *(part.format(folder=folder) for part in arguments))
+    told = refused(capsys, *(part.format(folder=folder) for part in arguments))
     assert words in told
 
 
@@ -284,7 +276,7 @@ def test_a_folder_of_broken_bags_is_bad_input(tmp_path, monkeypatch, capsys):
     for name in ("a.mcap", "b.mcap"):
         (tmp_path / "in" / name).write_bytes(b"nonsense")
     counted(monkeypatch)
-    told = complaint(capsys, "estimate", tmp_path / "in", "--out", tmp_path / "out")
+    told = refused(capsys, "estimate", tmp_path / "in", "--out", tmp_path / "out")
     assert "none of its 2 bags has an answer" in told
     assert len(rows_of(tmp_path / "out")) == 2
 
@@ -376,7 +368,7 @@ def test_a_cluster_says_the_same(folder, answered, tmp_path, capsys):
         assert not differ, name
     for address, words in ((cluster.scheduler_address, "no Dask scheduler answers there"),
                            ("nonsense", "missing port number")):
-        assert words in complaint(capsys, *arguments, "--scheduler", address)
+        assert words in refused(capsys, *arguments, "--scheduler", address)
 
 
 def test_every_column_is_documented():

@@ -21,7 +21,7 @@ CHANNEL = st.fixed_dictionaries(
 MAPS = st.dictionaries(st.sampled_from(sorted(CHANNELS)), CHANNEL, max_size=5)
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=300)
 @given(channels=MAPS)
 def test_each_channel_stands_on_its_topic_once(channels):
     config = settings_from_tree({"channels": channels}, "rig.yaml")

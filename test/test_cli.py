@@ -11,6 +11,7 @@ from pathlib import Path
 
 import click
 import pytest
+from command_tools import refused
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -19,16 +20,6 @@ from eha_monitor.output import finite, write_text
 
 ROOT = Path(__file__).parents[1]
 BAG = ROOT / "bags" / "air_ingress"
-
-
-def complaint(capsys, *arguments) -> str:
-    """Run a command that must fail with status 2, and return its one line."""
-    assert main([str(a) for a in arguments]) == 2
-    out, err = capsys.readouterr()
-    assert err.startswith("eha_monitor: ")
-    assert err.count("\n") == 1, err
-    assert "Traceback" not in out + err
-    return err
 
 
 def start(*arguments, **options) -> subprocess.Popen:
@@ -66,7 +57,7 @@ def test_help_of_each_command_imports_nothing_heavy(name):
     (["simulator", "--duration", "soon"], "soon"),
 ])
 def test_bad_usage_is_one_line(capsys, arguments, words):
-    assert words in complaint(capsys, *arguments)
+    assert words in refused(capsys, *arguments)
 
 
 def test_config_errors_name_file_and_key(capsys, tmp_path):
@@ -75,7 +66,7 @@ def test_config_errors_name_file_and_key(capsys, tmp_path):
                         ("rig: {mass: -3}", "rig.mass: expected more than 0 in kg, got -3"),
                         ("rig: {mass: 3 m}", "rig.mass: expected a number in kg, got '3 m'")):
         config.write_text(text)
-        told = complaint(capsys, "estimate", BAG, "--config", config)
+        told = refused(capsys, "estimate", BAG, "--config", config)
         assert f"{config}: {words}" in told
 
 

@@ -4,17 +4,12 @@ The rig is one of its own (benchmarks/hold_parts): other areas, fine steps, a co
 computes from the noisy sensor once in a sample.
 """
 
-import sys
 from contextlib import suppress
 from dataclasses import replace
 from functools import lru_cache
-from pathlib import Path
 
 import numpy as np
 import pytest
-
-sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "benchmarks"))
-
 from hold_parts.draws import drawn
 from hold_parts.plant import PHYSICS, Motion, Noise, Rig, recorded
 

@@ -1,30 +1,29 @@
 """Whatever stands in a config: settings, or one line that names the key.  Nothing else."""
 
+import math
 import re
 from pathlib import Path
 
 import pytest
-from hypothesis import HealthCheck, example, given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from pydantic import BaseModel
 
 from eha_monitor.errors import InputError
+from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.reports.diagnosis_words import tolerance_words
 from eha_monitor.settings import Settings, load_settings, settings_from_tree
 from eha_monitor.settings.load import annotated
 from eha_monitor.settings.monitor import CHANNELS
 from eha_monitor.settings.rig import Tolerance
 
-QUICK = settings(max_examples=100, deadline=None,
-                 suppress_health_check=[HealthCheck.function_scoped_fixture])
+QUICK = settings(max_examples=250)
 SCALARS = st.one_of(st.none(), st.booleans(), st.integers(), st.floats(), st.text(max_size=12),
                     st.dates(), st.binary(max_size=4), st.sampled_from(
-                        ["5 cm^2", "1 m", "-1 m", "nan", "1e400", "1 lightyear", "1e6", "0x10",
-                         "$HOME", "!!python/object:os.system", "1 kg/", "**", "°C"]))
-TREES = st.recursive(SCALARS, lambda inner: st.one_of(
-    st.lists(inner, max_size=3), st.dictionaries(st.one_of(st.text(max_size=8), st.integers(),
-                                                           st.sampled_from(sorted(CHANNELS))),
-                                                 inner, max_size=3)), max_leaves=8)
+                        ["5 cm^2", "1 m", "-1 m", "nan", "-inf", "1e400", "1 lightyear", "1e6",
+                         "0x10", "$HOME", "!!python/object:os.system", "1 kg/", "**", "°C", "1/0",
+                         "20 kg", "1 ms", "0.25 Hz", "50 °C", "1e400 kg", "sine", "a\nb", "{",
+                         "x" * 500]))
 
 
 def leaves(model: type[BaseModel], path=()):
@@ -36,6 +35,13 @@ def leaves(model: type[BaseModel], path=()):
 
 
 PATHS = st.sampled_from(sorted(leaves(Settings)))
+KEYS = sorted({*Settings.model_fields, *CHANNELS, *CATALOGUE, *(
+    path[-1] for path in leaves(Settings)), "F_c", "v_e", "L", "alpha", "triangle", "kind",
+    "ros__parameters", "/**", ""})
+TREES = st.recursive(SCALARS, lambda inner: st.one_of(
+    st.lists(inner, max_size=3), st.dictionaries(st.one_of(
+        st.text(max_size=8), st.integers(), st.sampled_from(KEYS)), inner, max_size=4)),
+    max_leaves=12)
 
 
 def tree_of(path, value):
@@ -46,7 +52,7 @@ def tree_of(path, value):
 
 def told(problem: InputError) -> str:
     text = str(problem)
-    assert "\n" not in text and len(text) < 700, text
+    assert "\n" not in text and 12 < len(text) < 700, text
     return text
 
 
@@ -61,11 +67,13 @@ def test_a_value_is_taken_or_its_key_is_named(path, value):
         # What a section demands of its keys together is told with the section.
         assert path[0] in text, text
     else:
-        assert isinstance(found, Settings)
+        kept = value_at(found, path)
+        assert not isinstance(kept, float) or math.isfinite(kept)
 
 
 @QUICK
-@given(tree=TREES)
+@given(tree=TREES | st.dictionaries(st.sampled_from(sorted(Settings.model_fields)), TREES,
+                                    max_size=3))
 def test_any_tree(tree):
     try:
         assert isinstance(settings_from_tree(tree, "rig.yaml"), Settings)
@@ -115,8 +123,7 @@ def test_docs_name_every_tolerance_and_its_default():
         assert re.search(rf"^\|[^|]*`{key}`[^|]*\| {shown} \|", text, re.MULTILINE), key
 
 
-@settings(max_examples=25, deadline=None,
-          suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=25)
 @given(data=st.data())
 def test_what_is_valid_survives_being_written(data, tmp_path):
     config = Settings()

@@ -9,13 +9,12 @@ import urllib.error
 import urllib.request
 
 import pytest
+from command_tools import refused
 from diagnostic_msgs.msg import DiagnosticArray
+from ros_tools import PATIENCE, command, end, listen, start
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
-from test_ros_monitor import listen, start
-from test_ros_processes import PATIENCE, command, end
 
-from eha_monitor.cli import main
 from eha_monitor.quantity import FLOOR, number
 from eha_monitor.ros.messages import findings_of
 from eha_monitor.ros.topics import LATCHED
@@ -212,11 +211,8 @@ def test_an_alarm_shows_within_a_second_and_does_not_outlive_the_monitor(graph, 
 def test_a_taken_port_is_one_line_and_status_2(capfd):
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
-        assert main(["dashboard", "--port", str(port)]) == 2
-    out, err = capfd.readouterr()
-    assert not out
-    assert err == (f"eha_monitor: --port {port}: cannot serve on 127.0.0.1:{port} "
-                   "(Address already in use), expected a free port\n")
+        assert f"cannot serve on 127.0.0.1:{port} (Address already in use), expected a free port" \
+            in refused(capfd, "dashboard", "--port", port)
 
 
 def test_only_loopback_and_only_by_its_own_name(address):

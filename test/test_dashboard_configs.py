@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
+from ros_tools import Recorder, listen, start
 from ruamel.yaml import YAML
-from test_ros_monitor import Recorder, listen, start
 
 from eha_monitor.estimation.results import Consistency, LiveSnapshot
 from eha_monitor.ros.topics import LATCHED

@@ -5,8 +5,8 @@ import struct
 
 import pytest
 from rclpy.serialization import deserialize_message
+from ros_tools import PATIENCE, command, end
 from std_msgs.msg import Float64
-from test_ros_processes import PATIENCE, command, end
 
 pytest.importorskip("nicegui", reason="nicegui is not installed (pip install '.[dashboard]')")
 pytest.importorskip("foxglove", reason="foxglove-sdk is not installed (pip install '.[foxglove]')")

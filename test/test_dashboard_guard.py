@@ -9,9 +9,8 @@ import urllib.error
 import urllib.request
 
 import pytest
-from test_ros_processes import command, end
-
-from eha_monitor.cli import main
+from command_tools import refused
+from ros_tools import command, end
 
 pytest.importorskip("nicegui", reason="nicegui is not installed (pip install '.[dashboard]')")
 client = pytest.importorskip("websockets.sync.client", reason="websockets is not installed")
@@ -190,15 +189,12 @@ def test_a_person_without_the_token_is_told_what_to_do(served, browser):
     (("--actuator", "left"), "--actuator left: expected NAME=CONFIG"),
 ])
 def test_what_cannot_be_served_is_one_line_and_status_2(capfd, arguments, said):
-    assert main(["dashboard", "--port", "0", *arguments]) == 2
-    out, err = capfd.readouterr()
-    assert not out and said in err and err.count("\n") == 1, err
+    assert said in refused(capfd, "dashboard", "--port", "0", *arguments)
 
 
 def test_a_given_token_is_asked_for_on_loopback_too_and_not_printed(monkeypatch, capfd):
     monkeypatch.setenv("EHA_MONITOR_TOKEN", "a token" * 3)
-    assert main(["dashboard", "--port", "0"]) == 2
-    assert "without spaces" in capfd.readouterr().err
+    assert "without spaces" in refused(capfd, "dashboard", "--port", 0)
     monkeypatch.setenv("EHA_MONITOR_TOKEN", "correct-horse-battery")
     with command("dashboard", "--port", 0) as process:
         address = process.stdout.readline().removeprefix("dashboard: ").strip()

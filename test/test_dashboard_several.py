@@ -8,11 +8,10 @@ import time
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
-from ros_tools import Caller
+from ros_tools import Caller, command, end
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
 from test_dashboard import PHONE, Eyes
-from test_ros_processes import command, end
 
 from eha_monitor.health.alarms import ALARM_NAMES, WATCHED
 from eha_monitor.health.judge import Finding

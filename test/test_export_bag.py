@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from command_tools import refused
 from mcap.reader import make_reader
 from rig_tools import MULTISINE, SINE, motion, settings
 from rosbags.highlevel import AnyReader
@@ -135,8 +136,6 @@ def test_a_place_that_is_taken_is_refused_before_the_work(tmp_path, capsys):
     for place, words in ((taken, "exists already"), (bag, "is a bag that is read"),
                          (tmp_path / "no" / "where", "does not exist")):
         capsys.readouterr()
-        assert main(["diagnose", bag, "--out-bag", str(place)]) == 2
-        told = capsys.readouterr().err
-        assert words in told and told.count("\n") == 1
+        assert words in refused(capsys, "diagnose", bag, "--out-bag", place)
     with pytest.raises(InputError, match="exists already"):
         write_diagnosis_bag(taken, [], [], "/eha")

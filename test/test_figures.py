@@ -9,11 +9,10 @@ import sys
 from pathlib import Path
 
 import pytest
+import record
+import tables
 
 ROOT = Path(__file__).resolve().parent.parent
-sys.path.insert(0, str(ROOT / "benchmarks"))
-import record  # noqa: E402
-import tables  # noqa: E402
 
 FILES = tables.files()
 NAMES = [file.stem for file in FILES]

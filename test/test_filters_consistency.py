@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 from hypothesis import given
-from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 from scipy.signal import lfilter
 
@@ -166,7 +165,6 @@ def test_a_frozen_watch_sees_nothing():
 
 
 @given(value=st.floats(), stddev=st.floats(0) | st.just(float("nan")))
-@hypothesis_settings(deadline=None)
 def test_status_is_never_a_number_made_of_nothing(value, stddev):
     found = judge_parameter("B", value, stddev, "N·s/m", 500.0, 1000.0)
     assert found.status in ("converged", "not_excited", "diverged")

@@ -17,6 +17,7 @@ from rig_tools import (
     A,
     B,
     M,
+    copies,
     settings,
     simulated,
     with_channels,
@@ -63,7 +64,7 @@ def inputs_of(shape=MULTISINE, effects=None, faults=None, gaps=False, spikes=Fal
     run = simulated(shape, 4.0, effects=effects, faults=faults or {})
     recording = run.recording(7)
     if gaps:
-        channels = {name: values.copy() for name, values in recording.channels.items()}
+        channels = copies(recording)
         channels["x"][GAPS[0]] = channels["p1"][GAPS[2]] = np.nan
         channels["x_d"][2200:2210] = np.nan
         for values in channels.values():

@@ -6,8 +6,7 @@ import threading
 
 import numpy as np
 import pytest
-from ros_tools import Caller
-from test_ros_processes import PATIENCE, command, end
+from ros_tools import PATIENCE, Caller, command, end
 
 from eha_monitor.errors import InputError
 from eha_monitor.ros.identify_node import RosRig

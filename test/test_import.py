@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.io import savemat
 
@@ -234,8 +234,6 @@ def test_overwrite_replaces_a_bag_only_and_asks_before_the_work(tmp_path):
         import_file(tmp_path / "a.csv", tmp_path / "map.yaml", tmp_path / "bag", overwrite=True)
 
 
-@settings(max_examples=80, deadline=None,
-          suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(content=st.binary(max_size=300) | st.text(",;\t .e-+0123456789\nabc\"#", max_size=300).map(
     str.encode), kind=st.sampled_from(["a.csv", "a.mat", "a.csv.gz"]))
 def test_any_content(tmp_path, content, kind):

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 from mcap.reader import make_reader
-from rig_tools import SINE, TRIANGLE, settings, simulated
+from rig_tools import SINE, TRIANGLE, copies, settings, simulated
 
 from eha_monitor.api.answer import judged
 from eha_monitor.estimation.joint import observability
@@ -73,7 +73,7 @@ def channels_of(seconds: float, seed: int = 0) -> dict[str, np.ndarray]:
             for name, values in simulated(SINE, seconds).recording(seed).channels.items()}
 
 
-@hypothesis_settings(max_examples=12, deadline=None)
+@hypothesis_settings(max_examples=12)
 @given(st.integers(20_000, 900_000), st.lists(st.tuples(
     st.sampled_from(["x", "p1", "omega", "all"]), st.integers(1500, 5000), st.integers(1, 700)),
     max_size=3), st.booleans())
@@ -173,7 +173,7 @@ def rising(seconds):
 @pytest.fixture(scope="module")
 def changing():
     recording = rising(12.0)
-    channels = {name: values.copy() for name, values in recording.channels.items()}
+    channels = copies(recording)
     for values in channels.values():
         values[3000:3040] = np.nan
     channels["x"][7000] += 0.3  # a wild sample
@@ -185,7 +185,7 @@ def at_once(changing):
     return estimate_held(changing, settings(command_hold="continuous"))
 
 
-@hypothesis_settings(max_examples=8, deadline=None)
+@hypothesis_settings(max_examples=8)
 @given(size=st.integers(130, 9000))
 def test_pieces_give_the_numbers_of_the_whole(changing, at_once, size):
     found = estimate_held(changing, settings(command_hold="continuous"), size)

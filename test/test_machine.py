@@ -7,8 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from machine_tools import stranger, stranger_settings
-from rig_tools import MULTISINE, simulated
-from test_machine_baseline import read
+from rig_tools import MULTISINE, real, simulated
 
 from eha_monitor.balances.alone import alone, probability_of
 from eha_monitor.balances.candidates import Scale, candidates_of, stop, taken_up
@@ -226,7 +225,7 @@ def test_the_command_writes_and_reads_a_machine(recordings, settings, tmp_path, 
 def test_a_real_machine_on_two_days():
     files = [f"ivliev_eha_days/day_{day}_load_{load}_amplitude_4.csv.gz"
              for day in (18, 21) for load in (1, 2, 3, 4, 5)]
-    recordings, settings = read("ivliev_eha", *files)
+    recordings, settings = real("ivliev_eha", *files)
     first, second = (machine_of(part, settings, ("load",))
                      for part in (recordings[:5], recordings[5:]))
     for one in (first, second):  # the seals', and the loading cylinder's

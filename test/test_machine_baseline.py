@@ -1,30 +1,16 @@
 """The first view of every recording: ten lines of least squares, against known truth."""
 
-import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
 from machine_tools import stranger, stranger_settings
+from rig_tools import real
 from scipy.optimize import lsq_linear
 
 from eha_monitor.balances.baseline import baseline
 from eha_monitor.balances.least_squares import independent, inverse_of, signed_solution
-from eha_monitor.recordings.importing import read_table
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings import load_settings
-
-ROOT = Path(__file__).resolve().parent.parent
-DATA = ROOT.parent / "shared" / "data"
-sys.path.insert(0, str(ROOT / "test"))
-
-
-def read(rig, *files):
-    """Return recordings and settings of a real rig."""
-    if not (DATA / files[0]).exists():
-        pytest.skip(f"{DATA / files[0]} is not here: the real recordings state no licence")
-    settings = load_settings(ROOT / "config" / f"{rig}.yaml")
-    return [read_table(DATA / file, settings) for file in files], settings
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -112,7 +98,7 @@ def test_what_cannot_be_compared_is_said(tmp_path):
 
 
 def test_screw_drive_agrees_with_the_published_friction():
-    (recording,), settings = read("emps", "emps/DATA_EMPS.mat")
+    (recording,), settings = real("emps", "emps/DATA_EMPS.mat")
     force = baseline(recording, settings).force
     for name, published in (("B", 203.5), ("F_c", 20.39), ("M", 95.11)):
         assert abs(force[name].value - published) < 2.0 * force[name].stddev
@@ -121,6 +107,6 @@ def test_screw_drive_agrees_with_the_published_friction():
 
 def test_pump_of_the_real_actuator_on_two_days():
     files = [f"ivliev_eha_days/day_{day}_load_3_amplitude_4.csv.gz" for day in (18, 21)]
-    recordings, settings = read("ivliev_eha", *files)
+    recordings, settings = real("ivliev_eha", *files)
     for recording in recordings:  # 1.33 cm³ a revolution: design/one_machine.md
         assert baseline(recording, settings).flow["D_p"].value == pytest.approx(2.12e-7, rel=0.02)

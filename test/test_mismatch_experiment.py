@@ -6,7 +6,6 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from hypothesis import given
-from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 from rig_tools import MULTISINE, TRIANGLE, A, settings, simulated, with_channels, without
 
@@ -46,7 +45,6 @@ def value(c, f):
 
 
 @given(st.lists(st.floats(-1, 1), min_size=4, max_size=4), st.floats(0, 1), st.floats(0, 1e-3))
-@hypothesis_settings(max_examples=100, deadline=None)
 def test_a_cubic_comes_back_exactly(coefficients, f, sigma):
     curve = np.polynomial.Polynomial(coefficients, domain=[0, 40])
     u = curve(np.arange(41.0))
@@ -65,7 +63,6 @@ def test_noise_is_neither_jump_nor_corner():
 
 
 @given(left=st.floats(-1, 1), right=st.floats(-1, 1), corner=st.floats(0, 1))
-@hypothesis_settings(max_examples=100, deadline=None)
 def test_a_corner_between_two_samples_keeps_the_mean(left, right, corner):
     place = 15.0 + corner
     def u(t):
@@ -187,7 +184,6 @@ def test_a_long_gap_makes_two_stretches_and_a_short_one_is_bridged(recording, ch
 
 @given(st.lists(st.tuples(st.booleans(), st.integers(1, 60)), min_size=1, max_size=30),
        st.integers(0, 30))
-@hypothesis_settings(max_examples=100, deadline=None)
 def test_stretches_hold_every_good_sample_and_no_long_gap(blocks, longest):
     good = np.concatenate([np.full(n, here) for here, n in blocks])
     u = np.where(good, 1.0, np.nan)

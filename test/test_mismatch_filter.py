@@ -69,7 +69,7 @@ def experiment(run):
 
 
 @given(seed=st.integers(0, 10**6), radius=st.floats(0.3, 0.97), count=st.integers(1, N_OUTPUTS))
-@hypothesis_settings(max_examples=30, deadline=None)
+@hypothesis_settings(max_examples=30)
 def test_gains_end_at_the_algebraic_riccati_equation(seed, radius, count):
     rng = np.random.default_rng(seed)
     a = rng.standard_normal((N_FILTERED, N_FILTERED))
@@ -174,7 +174,7 @@ def test_free_run_corrects_nothing_and_a_missing_channel_changes_nothing(run, ex
 # ---- likelihood -------------------------------------------------------------------------------
 
 
-def test_an_unknown_course_of_the_demand_is_no_error_of_a_sensor(run, experiment):
+def test_an_unknown_course_of_the_demand_is_no_error_of_a_sensor(run):
     """A pressure taken from its sensor is taken with the error that the model gives the sensor."""
     config = settings(effects={"pressure_offset": {"b_1": 2.5e4, "b_2": 0.0}})
     recording = run.recording(1)
@@ -200,7 +200,7 @@ def test_a_run_that_went_astray_can_be_whitened():
 
 
 @given(seed=st.integers(0, 10**6), n=st.integers(20, 300), scale=st.floats(1e-6, 1e6))
-@hypothesis_settings(max_examples=40, deadline=None)
+@hypothesis_settings(max_examples=40)
 def test_likelihood_is_that_of_gaussians_with_their_own_covariance(seed, n, scale):
     """-(N/2) log det S is the Gaussian log density at its best covariance, constants left out."""
     from scipy.stats import multivariate_normal

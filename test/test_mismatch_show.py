@@ -2,11 +2,11 @@
 
 import json
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 from mismatch_tools import fitted, nominal_fit
+from rig_tools import real
 
 from eha_monitor.mismatch.data.experiment import experiment_of
 from eha_monitor.mismatch.diagnosis import Agreement, Value
@@ -24,9 +24,6 @@ from eha_monitor.physics.effects import CATALOGUE, NAMES
 from eha_monitor.physics.parameters import place_of, theta_of
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings.load import settings_from_tree
-
-EMPS = Path(__file__).parents[2] / "shared" / "data" / "emps" / "DATA_EMPS.mat"
-CONFIG = Path(__file__).parents[1] / "config" / "emps.yaml"
 
 
 def test_the_true_model_misses_by_the_noise_alone():
@@ -144,19 +141,13 @@ def test_force_residual_of_a_mass_on_a_damper():
     assert 2.0 < found["force"].before_rms < 8.0  # 10 N, of which the damping takes a part
 
 
-@pytest.mark.skipif(not EMPS.exists(), reason=f"no {EMPS.name} in ../shared/data")
-def test_force_residual_of_emps_is_below_the_published_one(tmp_path):
-    from eha_monitor.recordings.importing import import_file
-    from eha_monitor.recordings.read import read_recording
-    from eha_monitor.settings import load_settings
-
-    import_file(EMPS, CONFIG, tmp_path / "emps")
-    settings = load_settings(CONFIG)
+def test_force_residual_of_emps_is_below_the_published_one():
+    recordings, settings = real("emps", "emps/DATA_EMPS.mat")
     settings = settings.model_copy(update={"effects": {
         "coulomb_friction": {"F_c": 20.39, "v_e": 2e-4, "z_0": 1e-5, "t_1": 0.0, "w": 0.0,
                              "v_d": 5e-3},
         "constant_load": {"F_0": -3.16}}})
-    experiment = experiment_of([read_recording(tmp_path / "emps", settings)], settings)
+    experiment = experiment_of(recordings, settings)
     residual, force = force_residual(experiment, nominal_fit(experiment))
     assert residual < 0.045 * force
 

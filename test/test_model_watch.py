@@ -169,8 +169,8 @@ def test_a_trial_is_of_the_last_moments_however_long_the_value_goes_on_moving():
         assert 0.1 * k - taint.since_s <= LONGEST_TRIAL_S + 1e-9
 
 
-@given(st.lists(st.floats(0.01, 0.3), min_size=1, max_size=200), st.integers(0, 50))
-def test_the_rate_of_looking_does_not_matter_to_a_trial(steps, extra):
+@given(st.lists(st.floats(0.01, 0.3), min_size=1, max_size=200))
+def test_the_rate_of_looking_does_not_matter_to_a_trial(steps):
     """A value that jumps at one time is on trial for as long at ten looks a second as at any."""
     times = np.cumsum(steps)
     jump = times[len(times) // 2]

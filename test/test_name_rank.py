@@ -229,7 +229,7 @@ def test_what_grows_out_of_an_effect_needs_it_and_takes_its_place():
 
 
 @given(st.integers(0, 10**6), st.floats(0.05, 3.0))
-@hypothesis_settings(max_examples=25, deadline=None)
+@hypothesis_settings(max_examples=25)
 def test_the_beam_finds_the_best_of_all_sets_where_it_can_hold_them_all(seed, size):
     model = usual(seed=seed, size=size)
     (found,) = ranked_at(model.what, (), [model.gram], POLICY)

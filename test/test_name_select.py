@@ -6,7 +6,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from hypothesis import given
-from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 from mismatch_tools import fitted, recorded
 
@@ -68,7 +67,6 @@ def names_of(found: list[Ranked]) -> list[set[str]]:
 
 
 @given(st.floats(0.0, 1e7), st.floats(0.0, 1e5))
-@hypothesis_settings(max_examples=60, deadline=None)
 def test_what_is_left_counts_in_full_near_the_noise_and_less_above_it(left, more):
     assert counted(0.0) == 0.0 == counted(-5.0)
     assert -left * (1 + 1e-9) <= counted(left) <= 0.0  # never more than it is

@@ -22,7 +22,7 @@ from eha_monitor.mismatch.policy import POLICY
 
 
 @given(st.integers(2, 30), st.integers(0, 10**6), st.sampled_from([1e-6, 1.0, 1e7]))
-@hypothesis_settings(max_examples=40, deadline=None)
+@hypothesis_settings(max_examples=40)
 def test_hats_are_a_partition_of_unity(count, seed, scale):
     """So a constant is one of the functions, and so is a straight line within the range."""
     rng = np.random.default_rng(seed)

@@ -42,7 +42,7 @@ def test_spikes_and_gaps_do_not_count_as_noise(truths):
     assert np.isnan(white_noise(np.arange(20.0)))
 
 
-def test_channels_of_a_recording(truths):
+def test_channels_of_a_recording():
     run = simulated(SINE, 10.0)
     levels = noise_levels(run.recording(3), settings().noise)
     expected = {"x": 1e-6, "p1": 500.0, "p2": 500.0, "omega": 0.1}
@@ -84,7 +84,7 @@ def test_a_continuous_channel_has_no_resolution(truths):
 
 
 @given(st.floats(-10, 10), st.floats(-1e3, 1e3))
-@hypothesis_settings(max_examples=30, deadline=None)
+@hypothesis_settings(max_examples=30)
 def test_a_line_is_held_exactly(offset, slope):
     u = offset + slope * 1e-3 * np.arange(200)
     hold = hold_of(u, 0.0)

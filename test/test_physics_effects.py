@@ -198,7 +198,7 @@ def test_catalogue_is_the_contract_s_and_each_entry_has_its_equation_here():
 @pytest.mark.parametrize("name", sorted(TERMS))
 @given(v=st.floats(-0.5, 0.5), p1=st.floats(2e5, 2e7), p2=st.floats(2e5, 2e7),
        x=st.one_of(st.floats(-0.1, 0.1), st.floats(-3e-5, 3e-5)), omega=st.floats(-400, 400))
-@hypothesis_settings(max_examples=50, deadline=None)
+@hypothesis_settings(max_examples=50)
 def test_term_is_its_equation(name, v, p1, p2, x, omega):
     formula, values = TERMS[name]
     row = signal_row(v, p1, p2, x, omega)
@@ -238,7 +238,7 @@ def test_term_is_smooth_in_every_signal(name):
 
 @given(numbers=st.tuples(*[st.floats(-big, big) for big in (1e3, 1e4, 1e12, 1e12, 1e6)]),
        past=st.tuples(st.floats(-1, 1), st.floats(-1e3, 1e3)), h=st.floats(1e-9, 1.0))
-@hypothesis_settings(max_examples=200, deadline=None)
+@hypothesis_settings(max_examples=200)
 def test_all_terms_stay_finite_whatever_the_signals(numbers, past, h):
     x, v, p1, p2, omega = numbers
     theta, active = theta_of(settings().rig, VALUES)

@@ -86,7 +86,7 @@ def test_stretches_follow_one_another_and_repeat():
 
 
 @given(time=st.floats(0, 1e6))
-@hypothesis_settings(max_examples=50, deadline=None)
+@hypothesis_settings(max_examples=50)
 def test_any_time_gives_a_position(time):
     x = demanded_position(segments(a={**TRIANGLE, "duration": 3.0},
                                    b={**CHIRP, "duration": 2.0}), np.array([time]))

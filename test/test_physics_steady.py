@@ -13,7 +13,6 @@ import math
 import numpy as np
 import pytest
 from hypothesis import given
-from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 from rig_tools import BETA, C_T, D_P, SINE, TRIANGLE, V0, A, B, M, simulated
 
@@ -197,7 +196,6 @@ def test_loop_of_dry_friction_has_dahl_s_area(z_0):
 
 @given(turns=st.lists(st.floats(-1e-3, 1e-3), min_size=2, max_size=12),
        z_0=st.sampled_from([1e-5, 1e-4, 1e-3]))
-@hypothesis_settings(max_examples=60, deadline=None)
 def test_dry_friction_gives_back_no_more_than_it_stored(turns, z_0):
     x = np.concatenate([np.linspace(a, b, 400, endpoint=False)
                         for a, b in zip([0.0, *turns], turns, strict=False)])

@@ -325,13 +325,9 @@ def test_a_rig_with_two_areas():
     assert found.model.status == "consistent"
 
 
-def test_leakage_of_a_rig_with_two_areas_leaves_stage_one_alone():
+def test_leakage_of_a_rig_with_two_areas_leaves_both_stages_alone():
     found = answer(simulated(SINE, 8.0, rig=TWO_AREAS).recording(0), rig=TWO_AREAS)
     within(found.parameters["B"], 5000.0, 0.01)
-
-
-def test_leakage_of_a_rig_with_two_areas_leaves_stage_two_alone():
-    found = answer(simulated(SINE, 8.0, rig=TWO_AREAS).recording(0), rig=TWO_AREAS)
     within(found.parameters["beta_e"], BETA, 0.03)
 
 

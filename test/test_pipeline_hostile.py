@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
-from rig_tools import BETA, SINE, settings, simulated, with_channels, without
+from rig_tools import BETA, SINE, copies, settings, simulated, with_channels, without
 
 from eha_monitor.estimation.joint import observability
 from eha_monitor.estimation.pipeline import estimate
@@ -17,10 +17,6 @@ from eha_monitor.recordings.recording import CHANNELS, Recording
 @pytest.fixture(scope="module")
 def recording():
     return simulated(SINE, 6.0).recording(0)
-
-
-def copies(recording):
-    return {name: values.copy() for name, values in recording.channels.items()}
 
 
 def sane(found):
@@ -170,7 +166,7 @@ def test_spikes_do_not_move_the_estimates(recording):
 
 
 @given(st.data())
-@hypothesis_settings(max_examples=40, deadline=None)
+@hypothesis_settings(max_examples=40)
 def test_any_recording_gives_an_answer(data):
     """Any channels, lengths, sizes and holes: an answer that means something, no exception."""
     names = data.draw(st.lists(st.sampled_from(CHANNELS), unique=True))

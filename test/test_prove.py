@@ -12,8 +12,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from command_tools import refused
 
-from eha_monitor.cli import main
 from eha_monitor.commands.prove import prove as command
 from eha_monitor.concealed.cases import Case, effect_names, truth_of
 from eha_monitor.concealed.draws import KINDS
@@ -113,9 +113,8 @@ def test_an_opened_key_must_be_the_sealed_one(trial, done):
 
 
 def test_command_refuses_another_seed_in_one_line(trial, done, capsys):
-    assert main(["prove", "--cases", "3", "--seed", "9", "--work", str(trial.work)]) == 2
-    err = capsys.readouterr().err
-    assert err.count("\n") == 1 and "belongs to a trial with another seed (4), expected 9" in err
+    assert "belongs to a trial with another seed (4), expected 9" in refused(
+        capsys, "prove", "--cases", "3", "--seed", "9", "--work", trial.work)
 
 
 def test_report_shows_marks_hash_and_misses(trial, done):

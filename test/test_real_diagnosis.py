@@ -1,34 +1,18 @@
 """The diagnosis of real recordings, read from beside the repository; skipped where absent."""
 
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
+from inverse_trial import CASES, MAKERS, right
+from rig_tools import ROOT, real
 
 from eha_monitor.mismatch.data.experiment import by_balances
 from eha_monitor.mismatch.diagnose import diagnose
-from eha_monitor.recordings.importing import read_table
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings import load_settings
 
-ROOT = Path(__file__).resolve().parent.parent
-sys.path.insert(0, str(ROOT / "benchmarks"))
-from inverse_trial import CASES, MAKERS, right  # noqa: E402
-
-DATA = ROOT.parent / "shared" / "data"
-
-
-def read(rig: str, *files: str):
-    """Return recordings and settings of a rig."""
-    if not (DATA / files[0]).exists():
-        pytest.skip(f"{DATA / files[0]} is not here: the real recordings state no licence")
-    settings = load_settings(ROOT / "config" / f"{rig}.yaml")
-    return [read_table(DATA / file, settings) for file in files], settings
-
 
 def test_torque_of_one_direction_cannot_tell_friction_from_load():
-    recordings, settings = read("hsm150", "hsm150/idf_pos_0.06_1.mat")
+    recordings, settings = real("hsm150", "hsm150/idf_pos_0.06_1.mat")
     found = diagnose(recordings, settings)
     named = {found.effects[0].name, *found.effects[0].indistinguishable_from}
     assert found.verdict == "mismatch" and len(found.effects) == 1
@@ -39,7 +23,7 @@ def test_torque_of_one_direction_cannot_tell_friction_from_load():
 
 def test_both_directions_name_dry_friction():
     files = [f"hsm150/idf_{name}.mat" for name in ("pos_0.06_1", "neg_0.04_1")]
-    recordings, settings = read("hsm150", *files)
+    recordings, settings = real("hsm150", *files)
     found = diagnose(recordings, settings)
     assert found.effects[0].name in ("coulomb_friction", "asymmetric_friction")
     assert found.after["B"].value == pytest.approx(7.03e-5, rel=0.15)
@@ -49,7 +33,7 @@ def test_both_directions_name_dry_friction():
 @pytest.mark.slow
 @pytest.mark.timeout(600)
 def test_screw_drive_agrees_with_the_published_friction():
-    recordings, settings = read("emps", "emps/DATA_EMPS.mat")
+    recordings, settings = real("emps", "emps/DATA_EMPS.mat")
     found = diagnose(recordings, settings)
     effect = found.effects[0]
     assert found.verdict == "mismatch"  # the force's own noise is no unexplained physics
@@ -62,7 +46,7 @@ def test_screw_drive_agrees_with_the_published_friction():
 
 
 def test_eha_has_its_largest_load_while_extending():
-    recordings, settings = read("ivliev_eha", "ivliev_eha/exp_data_5_4.csv")
+    recordings, settings = real("ivliev_eha", "ivliev_eha/exp_data_5_4.csv")
     found = diagnose(recordings, settings)
     load = next(effect for effect in found.effects if effect.name == "one_sided_load")
     value = next(iter(load.parameters.values()))
@@ -73,7 +57,7 @@ def test_eha_has_its_largest_load_while_extending():
 
 def test_seals_name_friction_that_grows_with_pressure():
     files = [f"pneumatic_seals/1_O-ring257_{bar}bar.csv" for bar in (1, 7)]
-    recordings, settings = read("pneumatic_seals", *files)
+    recordings, settings = real("pneumatic_seals", *files)
     found = diagnose(recordings, settings)
     assert found.verdict == "mismatch" and "pressure_friction" in [e.name for e in found.effects]
     assert found.after["B"].value > 0.0
@@ -85,7 +69,7 @@ def test_seals_name_friction_that_grows_with_pressure():
     ("hsm", "coulomb"), ("seals", "coulomb")])
 def test_simulated_rigs_are_told_what_they_have(rig, case):
     found = diagnose(*MAKERS[rig](case, 77))
-    assert right(case, found, CASES[rig][case])
+    assert right(found, CASES[rig][case])
 
 
 def test_balances_of_a_quick_rig_are_taken_as_they_stand():

@@ -7,7 +7,7 @@ import struct
 import numpy as np
 import pytest
 from bag_tools import JOINT, START, contract_messages, joint, motion, write_mcap
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from eha_monitor.errors import InputError
@@ -75,8 +75,6 @@ def test_most_of_a_cut_bag_is_recovered(tmp_path):
     assert len(recording) > 1500
 
 
-@settings(max_examples=60, deadline=None,
-          suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
 def test_any_cut(whole, tmp_path, data):
     path = tmp_path / "cut.mcap"
@@ -86,8 +84,6 @@ def test_any_cut(whole, tmp_path, data):
         check_prefix(recording)
 
 
-@settings(max_examples=120, deadline=None,
-          suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
 def test_any_damage(whole, tmp_path, data):
     path = tmp_path / "damaged.mcap"
@@ -102,8 +98,6 @@ def test_any_damage(whole, tmp_path, data):
             reader()
 
 
-@settings(max_examples=60, deadline=None,
-          suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
 def test_any_damaged_message(tmp_path, data):
     """Garbage inside messages, in a file that is sound."""
@@ -118,8 +112,7 @@ def test_any_damaged_message(tmp_path, data):
     attempt(write_mcap(tmp_path / "a.mcap", messages))
 
 
-@settings(max_examples=30, deadline=None,
-          suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=30)
 @given(text=st.text(max_size=80))
 def test_any_message_definition(tmp_path, text):
     try:

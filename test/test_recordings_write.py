@@ -58,7 +58,7 @@ def cells(name):
     return st.floats(-LARGEST[name], LARGEST[name], width=64)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(data=st.data(), chosen=st.sets(st.sampled_from(CHANNELS), min_size=1),
        n=st.integers(2, 60), step=st.sampled_from([1e-3, 2.5e-4, 1 / 3000, 0.01, 0.02]))
 def test_any_channels_come_back(tmp_path_factory, data, chosen, n, step):

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from bag_tools import joint
 from hypothesis import given
-from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import Imu, JointState
@@ -56,7 +55,6 @@ numbers = st.floats(allow_nan=True, allow_infinity=True)
 lists = st.one_of(st.just([]), st.lists(numbers, min_size=3, max_size=3))
 
 
-@hypothesis_settings(max_examples=60, deadline=None)
 @given(st.lists(st.tuples(names, lists, lists, lists, st.text(max_size=5)), min_size=1,
                 max_size=6))
 def test_whatever_comes_is_read_as_the_decoders_read_it(messages):

@@ -5,11 +5,10 @@ import os
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.serialization import deserialize_message
-from ros_tools import START_NS, Caller, levels, listen, start
+from ros_tools import PATIENCE, START_NS, Caller, command, end, levels, listen, start
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
 from std_srvs.srv import Trigger
-from test_ros_processes import PATIENCE, command, end
 
 from eha_monitor.recordings.bag import iter_raw, topics
 from eha_monitor.ros.simulator_node import SimulatorNode

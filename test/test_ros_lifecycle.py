@@ -5,9 +5,8 @@ import signal
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.parameter import Parameter
-from ros_tools import Caller, Feeder, Recorder, levels, listen
+from ros_tools import PATIENCE, Caller, Feeder, Recorder, command, end, levels, listen
 from std_msgs.msg import Float64
-from test_ros_processes import PATIENCE, command, end
 
 from eha_monitor.errors import InputError
 from eha_monitor.ros.managed_node import ManagedMonitor

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 from rig_tools import settings
+from ros_tools import PATIENCE, command, end
 from test_live_offline import BAG, raised
-from test_ros_processes import PATIENCE, command, end
 
 from eha_monitor.api.answer import judged
 from eha_monitor.estimation.pipeline import estimate

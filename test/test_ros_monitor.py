@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.parameter import Parameter
-from rclpy.qos import DurabilityPolicy
 from ros_tools import MS, START_NS, Recorder, levels, listen, start
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float32, Float64
@@ -18,7 +17,6 @@ from eha_monitor.ros import messages
 from eha_monitor.ros.monitor_node import Monitor
 from eha_monitor.ros.parameters import (
     MONITOR_KEYS,
-    declare,
     overridden,
     parameter_table,
     settings_of_node,
@@ -201,30 +199,6 @@ def test_overrides_are_validated_like_a_config(graph):
         assert "\n" not in str(caught.value)
     assert overridden(Settings(), {"thresholds.viscous_damping.high_warn": math.nan},
                       "t").thresholds.viscous_damping.high_warn is None
-
-
-def test_thresholds_change_at_run_time_and_bad_ones_are_refused(graph):
-    node = graph.node("monitor", "/eha")
-    monitor = Monitor(node, Settings(), Recorder)
-    declare(node, Settings(), MONITOR_KEYS, monitor.reconfigure)
-
-    def put(name, value):
-        return node.set_parameters([Parameter(name, value=value)])[0]
-
-    limit = "thresholds.viscous_damping.high_warn"
-    assert put(limit, 1200.0).successful
-    assert monitor.settings.thresholds.viscous_damping.high_warn == 1200.0
-    refused = put(limit, 5000.0)
-    assert not refused.successful and "high_warn <= high_error" in refused.reason
-    assert monitor.settings.thresholds.viscous_damping.high_warn == 1200.0
-    assert put("thresholds.bulk_modulus.high_warn", 5e9).successful
-    assert put("thresholds.bulk_modulus.high_warn", math.nan).successful
-    assert monitor.settings.thresholds.bulk_modulus.high_warn is None
-    assert not put("rig.mass", 21.0).successful
-
-
-def test_late_joiners_match_the_latched_topic():
-    assert LATCHED.durability == DurabilityPolicy.TRANSIENT_LOCAL and LATCHED.depth == 1
 
 
 def test_what_a_turn_brings_is_one_piece_so_that_estimates_know_of_all(graph):

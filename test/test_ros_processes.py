@@ -1,61 +1,22 @@
 """The commands as processes: simulator, monitor, record, replay, and how they end."""
 
-import os
 import py_compile
 import re
 import signal
-import subprocess
-import sys
-from contextlib import contextmanager
-from pathlib import Path
 
 import pytest
+from command_tools import refused
 from diagnostic_msgs.msg import DiagnosticArray
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from ros_tools import BEST_EFFORT, PATIENCE, REPOSITORY, command, end, listen
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
 from std_srvs.srv import SetBool
 
-from eha_monitor.cli import main
 from eha_monitor.recordings.bag import iter_raw, topics
 from eha_monitor.recordings.write import BagWriter, TopicType
 from eha_monitor.ros import messages
-
-REPOSITORY = Path(__file__).parents[1]
-INPUT = QoSProfile(depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT)
-# The first run after a change of the sources compiles the model.
-PATIENCE = 90.0
-
-
-@contextmanager
-def command(*arguments):
-    """Run a command of the package; it is ended with SIGTERM if the test has not done so."""
-    process = subprocess.Popen(
-        [sys.executable, "-m", "eha_monitor", *map(str, arguments)], cwd=REPOSITORY,
-        env={**os.environ, "PYTHONPATH": str(REPOSITORY)}, text=True,
-        stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
-    try:
-        yield process
-    finally:
-        if process.poll() is None:
-            process.kill()
-        process.communicate()
-
-
-def end(process, how=signal.SIGTERM):
-    """End a command with a signal; returns its stdout.  It must end cleanly."""
-    process.send_signal(how)
-    out, err = process.communicate(timeout=30)
-    assert process.returncode == 0, err
-    assert "Traceback" not in err, err
-    return out
-
-
-def listen(graph, kind, topic, qos=INPUT):
-    heard = []
-    graph.node(f"listener_{len(graph.nodes)}").create_subscription(kind, topic, heard.append, qos)
-    return heard
+from eha_monitor.ros.topics import LATCHED
 
 
 def bag_of_joint_states(path, count, start_ns=5_000_000_000, extra=None):
@@ -75,20 +36,19 @@ def bag_of_joint_states(path, count, start_ns=5_000_000_000, extra=None):
 
 def test_simulator_monitor_record_replay(graph, tmp_path):
     """From the simulated piston to B near 600, health for a late subscriber, and a bag of it."""
-    damping = listen(graph, Float64, "/eha/monitor/viscous_damping")
-    stddev = listen(graph, Float64, "/eha/monitor/viscous_damping_stddev")
+    damping = listen(graph, Float64, "/eha/monitor/viscous_damping", BEST_EFFORT)
+    stddev = listen(graph, Float64, "/eha/monitor/viscous_damping_stddev", BEST_EFFORT)
     bag = tmp_path / "bag"
     with command("record", "--out", bag) as record, command("monitor") as monitor, \
             command("simulator", "--seed", "1") as simulator:
         graph.until(lambda: damping and stddev and stddev[-1].data < 6.0, PATIENCE)
         assert damping[-1].data == pytest.approx(600.0, rel=0.05)
-        health = listen(graph, DiagnosticArray, "/eha/monitor/health", QoSProfile(
-            depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL))
+        health = listen(graph, DiagnosticArray, "/eha/monitor/health", LATCHED)
         graph.until(lambda: health)
         # The recorder finds topics once a second; the monitor may have converged before that.
         node = graph.node("counter")
         graph.until(lambda: node.count_subscribers("/eha/monitor/viscous_damping") > 1, PATIENCE)
-        diagnostics = listen(graph, DiagnosticArray, "/diagnostics")
+        diagnostics = listen(graph, DiagnosticArray, "/diagnostics", BEST_EFFORT)
         graph.until(lambda: len(diagnostics) > 1, PATIENCE)
         assert "published" in end(simulator)
         assert "latency from stamp" in end(monitor, signal.SIGINT)
@@ -114,10 +74,9 @@ def test_replay_feeds_a_monitor_on_simulated_time(graph, tmp_path):
     bag = tmp_path / "bag"
     write_recording(bag, Simulator(Settings(), 1).advance(4000), Settings(),
                     start_ns=1_000_000_000)
-    damping = listen(graph, Float64, "/eha/monitor/viscous_damping")
-    clock = listen(graph, Clock, "/clock")
-    health = listen(graph, DiagnosticArray, "/eha/monitor/health", QoSProfile(
-        depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL))
+    damping = listen(graph, Float64, "/eha/monitor/viscous_damping", BEST_EFFORT)
+    clock = listen(graph, Clock, "/clock", BEST_EFFORT)
+    health = listen(graph, DiagnosticArray, "/eha/monitor/health", LATCHED)
     with command("monitor", "--ros-args", "-p", "use_sim_time:=true") as monitor:
         graph.until(lambda: health, PATIENCE)  # the monitor is there before the bag begins
         with command("replay", bag, "--clock", "--rate", "2", "--start-paused") as replay:
@@ -182,7 +141,7 @@ def test_replay_pauses_and_resumes_by_service(graph, tmp_path):
 
 def test_replay_loops_and_leaves_out_what_it_does_not_know(graph, tmp_path):
     bag_of_joint_states(tmp_path / "bag", 100, extra="strange_msgs/msg/Strange")
-    heard = listen(graph, JointState, "/eha/joint_states")
+    heard = listen(graph, JointState, "/eha/joint_states", BEST_EFFORT)
     with command("replay", tmp_path / "bag", "--loop") as replay:
         graph.until(lambda: len(heard) > 250, PATIENCE)
         replay.send_signal(signal.SIGINT)
@@ -197,10 +156,7 @@ def test_replay_loops_and_leaves_out_what_it_does_not_know(graph, tmp_path):
     (("simulator", "--ros-args", "--params-file", "nowhere.yaml"), "nowhere.yaml"),
 ])
 def test_bad_input_is_one_line_and_status_2(capfd, arguments, words):
-    assert main(list(arguments)) == 2
-    err = capfd.readouterr().err
-    lines = [line for line in err.splitlines() if not line.startswith("[")]
-    assert len(lines) == 1 and words in lines[0], err
+    assert words in refused(capfd, *arguments)
 
 
 def test_launch_files_compile(tmp_path):

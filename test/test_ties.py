@@ -11,7 +11,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from hypothesis import given
-from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 
 import eha_monitor as em
@@ -52,7 +51,6 @@ def test_nan_is_the_lowest_and_nothing_is_an_error():
 
 
 @given(st.lists(st.integers(-5, 5), min_size=1, max_size=12), st.randoms(use_true_random=False))
-@hypothesis_settings(max_examples=60, deadline=None)
 def test_order_stands_under_the_last_bits_and_another_sequence(levels, random):
     """Equal scores that a sum's last bits part, in any sequence: the order is that of the key."""
     exact = {f"n{i}": 1e3 + level for i, level in enumerate(levels)}

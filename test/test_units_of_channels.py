@@ -41,7 +41,7 @@ def config(section="table", rotary=False, **channels):
     return settings_from_tree(tree, "my_rig.yaml")
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(case=st.sampled_from(CASES), raw=NUMBERS, scale=NUMBERS, offset=NUMBERS)
 def test_scale_and_offset_give_the_number_that_the_unit_is_of(case, raw, scale, offset):
     channel, unit, factor, zero = case
@@ -54,7 +54,6 @@ def test_scale_and_offset_give_the_number_that_the_unit_is_of(case, raw, scale, 
 
 
 @pytest.mark.parametrize("section", ["table", "channels"])
-@settings(max_examples=60, deadline=None)
 @given(channel=st.sampled_from(sorted(LINEAR)), case=st.sampled_from(CASES))
 def test_a_unit_of_another_quantity_is_refused_in_one_line(section, channel, case):
     of, unit, *_ = case
@@ -70,7 +69,7 @@ def test_a_unit_of_another_quantity_is_refused_in_one_line(section, channel, cas
     assert "\n" not in str(e.value)
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=300)
 @given(text=st.one_of(st.text(max_size=8), st.sampled_from(["mm;", "3 mm", "Hz", "%", "mmm g", "",
                                                             "bar gauge gauge", "mm gauge", "1"])))
 def test_whatever_is_written_is_a_unit_or_one_line(text):

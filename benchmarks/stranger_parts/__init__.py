@@ -1,1 +1,1 @@
-"""What benchmarks/newcomer.py and wrong_inputs.py share: commands, mistakes, scores."""
+"""What benchmarks/wrong_inputs.py is made of: right recordings, mistakes, commands, scores."""

@@ -10,7 +10,6 @@ from dataclasses import dataclass
 
 RPM = 2 * math.pi / 60
 ATMOSPHERE = 101325.0
-ANY_KIND = ("swapped", "sign", "unit", "offset", "column")
 P_BOTH, X_BOTH = ("p1", "p2"), ("x", "x_d")
 
 

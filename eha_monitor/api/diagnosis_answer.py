@@ -23,11 +23,6 @@ RIG_KEYS = {"B": "viscous_damping", "beta_e": "bulk_modulus"}
 _WIDTH = 95  # of the head of a written config
 
 
-def mismatched(found: Diagnosis) -> bool:
-    """Tell whether the nominal model does not explain the recording."""
-    return found.verdict in ("mismatch", "unexplained")
-
-
 def answer(found: Diagnosis) -> dict:
     """Return the JSON tree: the contract's keys, then what extends it.  NaN becomes null."""
     return finite({

@@ -73,7 +73,7 @@ def init(file: Path, out: Path, given: tuple[str, ...], yes: bool, overwrite: bo
 def _asked(asked, answers, given, rotary):
     """Ask at the terminal for what is open; an empty answer leaves it open."""
     from eha_monitor.draft.answers import CHOICES, answers_of
-    from eha_monitor.draft.beyond import QUESTIONS
+    from eha_monitor.draft.rig import QUESTIONS
 
     wanted = []
     for key, question in asked:

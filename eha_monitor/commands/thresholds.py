@@ -52,7 +52,7 @@ def thresholds(bags: tuple[Path, ...], config: Path | None, rate: float, least: 
     from eha_monitor.settings import load_settings
 
     settings = load_settings(config)
-    healthy, told, unfit, seconds = _healthy(bags, settings, config)
+    healthy, told, unfit, seconds = _healthy(bags, settings)
     diagnosed = bool(settings.rig.identified)
     remedy = [] if diagnosed else _remedy(list(unfit), bags, config)
     if not any(healthy.values()):
@@ -82,7 +82,7 @@ def thresholds(bags: tuple[Path, ...], config: Path | None, rate: float, least: 
         click.echo(f"written: {config_file}")
 
 
-def _healthy(bags, settings, config):
+def _healthy(bags, settings):
     """Return what each recording says, sentences, where the model does not fit, usual length."""
     import numpy as np
 

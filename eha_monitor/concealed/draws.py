@@ -33,6 +33,7 @@ CHANNELS = {
 # Effects in a case -> share of the cases; "outside" is one that has no name in the catalogue.
 SETS = {0: 0.15, 1: 0.45, 2: 0.2, 3: 0.1, "outside": 0.1}
 STRENGTHS = (0.03, 1.2)
+PAPER_RIG = 0.3  # share of the cases on the paper's own rig
 # Kind -> its share of the cases of ``mixed``.
 SHARES = {"exact": 0.4, "within": 0.4, "beyond": 0.2}
 KINDS = (*SHARES, "mixed")
@@ -73,8 +74,7 @@ def draw_rig(rng: np.random.Generator) -> dict[str, float]:
     return {key: float(f"{value:.4g}") for key, value in rig.items()}
 
 
-def draw_cases(n: int, seed: int, *, paper_rig: float = 0.3, rig: str = "mixed",
-               sets: dict = SETS) -> list[Case]:
+def draw_cases(n: int, seed: int, *, rig: str = "mixed", sets: dict = SETS) -> list[Case]:
     """Draw ``n`` cases; the same seed gives the same cases, and fewer are a head of more.
 
     Whatever ``rig`` is, effects, motions and true rigs of a seed are the same.
@@ -83,23 +83,21 @@ def draw_cases(n: int, seed: int, *, paper_rig: float = 0.3, rig: str = "mixed",
     ----------
     n : how many.
     seed : of everything.
-    paper_rig : share of the cases on the paper's own rig.
     rig : what the nominal configs say of it, one of :data:`KINDS`.
     sets : effects in a case -> share of the cases.
     """
-    cases = [_draw(f"c{i + 1:03d}", np.random.default_rng([seed, i]), paper_rig, sets)
-             for i in range(n)]
+    cases = [_draw(f"c{i + 1:03d}", np.random.default_rng([seed, i]), sets) for i in range(n)]
     return misconfigured(cases, seed, rig)
 
 
-def _draw(name: str, rng: np.random.Generator, paper_rig: float, sets: dict) -> Case:
+def _draw(name: str, rng: np.random.Generator, sets: dict) -> Case:
     kinds = list(sets)
     count = kinds[rng.choice(len(kinds), p=list(sets.values()))]
     motion = str(rng.choice(list(MOTIONS), p=list(MOTIONS.values())))
     layouts = list(CHANNELS)
     channels = layouts[rng.choice(len(layouts), p=list(CHANNELS.values()))]
     noise = float(rng.choice([1.0, 3.0, 10.0], p=[0.8, 0.1, 0.1]))
-    rig = {} if rng.random() < paper_rig else draw_rig(rng)
+    rig = {} if rng.random() < PAPER_RIG else draw_rig(rng)
     names = ([str(rng.choice(outside_names()))] if count == "outside"
              else draw_names(int(count), rng))
     effects, options = [], {}

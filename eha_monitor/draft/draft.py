@@ -2,19 +2,29 @@
 
 from dataclasses import dataclass, replace
 from json import dumps
+from math import isclose, log
+
+import numpy as np
 
 from eha_monitor import __version__
 from eha_monitor.draft.answers import Answers, checked, full_scale
-from eha_monitor.draft.beyond import effects_of, open_choices, tolerances
 from eha_monitor.draft.guess import Guess, Map, guessed
-from eha_monitor.draft.mend import absolute, as_answered, mended, not_absolute
-from eha_monitor.draft.rig import Entry, Seen, number, rig_entries, seen_in
+from eha_monitor.draft.rig import (
+    Entry,
+    Seen,
+    effects_of,
+    number,
+    open_choices,
+    rig_entries,
+    seen_in,
+    tolerances,
+)
 from eha_monitor.draft.sources import Source
 from eha_monitor.errors import InputError
 from eha_monitor.plausibility.judge import Plausibility, plausibility_of
 from eha_monitor.recordings.importing import read_table
 from eha_monitor.recordings.read import read_recording
-from eha_monitor.recordings.recording import Recording
+from eha_monitor.recordings.recording import ChannelFinding, Recording
 from eha_monitor.settings.channels import check_unit, unit_of
 from eha_monitor.settings.load import settings_from_tree, text_tree
 from eha_monitor.settings.monitor import Settings
@@ -22,6 +32,15 @@ from eha_monitor.settings.rig import Rig
 
 ASK = "ASK"
 _COLUMN = 34  # where comments begin, if there is room
+BELOW = 0.9e5  # Pa, lower than the open air anywhere on low ground: no absolute pressure at rest
+# Units that a column may be in, by its channel; a factor that is none of them becomes a scale.
+UNITS = {"x": ("m", "mm", "cm", "um", "inch"), "x_d": ("m", "mm", "cm", "um", "inch"),
+         "v": ("m/s", "mm/s", "cm/s", "m/min"),
+         "omega": ("rad/s", "rpm", "rev/s", "deg/s"),
+         "omega_d": ("rad/s", "rpm", "rev/s", "deg/s"),
+         "p1": ("Pa", "bar", "kPa", "MPa", "psi", "mbar"),
+         "p2": ("Pa", "bar", "kPa", "MPa", "psi", "mbar"), "force": ("N", "kN", "kgf", "daN")}
+TIMES = {1e-3: "1 ms", 1.0: "1 s", 1e-6: "1 us", 1e-9: "1 ns", 60.0: "1 min"}
 
 
 @dataclass(frozen=True)
@@ -62,11 +81,10 @@ def draft_text(source: Source, found: Map, told: Lines, checks: list[str]) -> st
     margin = "  " if source.bag else "    "
     for name, guess in found.channels.items():
         if guess.full:
-            all_ = "100 %" if guess.full == "share" else "how many counts"
-            example = "'80 mm'" if guess.full == "share" else "'27648 = 250 bar'"
-            kind = "per cent" if guess.full == "share" else "counts, volts or mA"
-            lines.append(f"{margin}# {ASK} {name}: '{guess.candidate.shown}' is in {kind}: how "
-                         f"much is {all_}?  --set {name}.full={example}")
+            all_, example = ("100 %", "'80 mm'") if guess.full == "share" else (
+                "how many counts", "'27648 = 250 bar'")
+            lines.append(f"{margin}# {ASK} {name}: {_in_kind(guess)}: how much is {all_}?  "
+                         f"--set {name}.full={example}")
         else:
             lines += _channel(name, guess, margin)
     if found.unused:
@@ -80,6 +98,11 @@ def draft_text(source: Source, found: Map, told: Lines, checks: list[str]) -> st
               "  bulk_modulus: {low_error: null, low_warn: null, high_warn: null, "
               "high_error: null}"]
     return "\n".join(lines) + "\n"
+
+
+def _in_kind(guess: Guess) -> str:
+    kind = "per cent" if guess.full == "share" else "counts, volts or mA"
+    return f"'{guess.candidate.shown}' is in {kind}"
 
 
 def _readable(found: Map) -> list[str]:
@@ -283,10 +306,123 @@ def _with(name: str, guess: Guess, keys: dict[str, str], rotary: bool) -> Guess:
 
 def _open(found: Map, lines: Lines) -> tuple[tuple[str, str], ...]:
     """Return what nobody has told: key -> question."""
-    asked = [(f"{name}.full", f"'{guess.candidate.shown}' is in "
-              f"{'per cent' if guess.full == 'share' else 'counts, volts or mA'}; the full scale")
+    asked = [(f"{name}.full", f"{_in_kind(guess)}; the full scale")
              for name, guess in found.channels.items() if guess.full]
     if "x" not in found.channels:
         asked.append(("x.column", "which column is the measured position"))
     return tuple(asked + lines.choices
                  + [(f"rig.{entry.key}", entry.why) for entry in lines.rig if entry.ask])
+
+
+# ---- what the recording itself corrects: signs, swaps, units, gauge pressures -------------------
+
+
+def mended(found: Map, findings: tuple[ChannelFinding, ...], settings: Settings
+           ) -> tuple[Map, list[str]]:
+    """Return the map with what the recording corrects, and what is left to ask.
+
+    A sign and a swap are corrected whatever the header says, since cables and hoses are mixed up;
+    a unit only where no header and nobody has named it.  Numbers of the rig are never touched.
+    """
+    left = []
+    for finding in findings:
+        changed = _one(found, finding, settings)
+        if changed is None:
+            left.append(finding.finding)
+        else:
+            found = changed
+    return found, left
+
+
+def _one(found: Map, finding: ChannelFinding, settings: Settings) -> Map | None:
+    names = finding.channels
+    if names == ("time",):
+        scale = finding.correction.get("table", {}).get("time_scale")
+        if found.time is None or found.time.sure or scale is None:
+            return None
+        unit = next((text for value, text in TIMES.items() if isclose(value, scale, rel_tol=1e-6)),
+                    None)
+        return unit and replace(found, time=replace(found.time, unit=unit, why=_told(finding)))
+    if any(name not in found.channels for name in names) or "channels" not in finding.correction:
+        return None
+    if finding.kind == "swapped" and len(names) == 2:
+        one, other = (found.channels[name] for name in names)
+        if one.unit and other.unit and unit_of(one.unit).si != unit_of(other.unit).si:
+            return None  # a position in the column of a speed: no hose or cable does that
+        swapped = {names[0]: replace(other, why=_told(finding)),
+                   names[1]: replace(one, why=_told(finding))}
+        return replace(found, channels={**found.channels, **swapped})
+    for name in names:
+        guess = found.channels[name]
+        if finding.kind == "offset":
+            # Against a charge pressure that nobody has told it says nothing.
+            if "charge pressure" in finding.finding and (
+                    "charge_pressure" not in settings.rig.model_fields_set):
+                return found
+            if not guess.unit or (guess.sure and "gauge" in guess.unit):
+                return None
+            found = found.with_channel(name, replace(
+                guess, unit=f"{guess.unit} gauge", why=_told(finding)))
+            continue
+        old, new = settings.channels[name].gain, finding.correction["channels"][name]["scale"]
+        factor = new / old
+        if factor < 0:
+            found = found.with_channel(name, replace(
+                guess, scale=-guess.scale, offset=-guess.offset, why=_told(finding)))
+        if abs(log(abs(factor))) > 1e-6:
+            if guess.sure:
+                return None
+            found = found.with_channel(name, _in_another_unit(found.channels[name], name,
+                                                              abs(factor), finding))
+    return found
+
+
+def _in_another_unit(guess: Guess, name: str, factor: float, finding: ChannelFinding):
+    wanted = unit_of(guess.unit).factor * factor
+    unit = next((unit for unit in UNITS.get(name, ())
+                 if isclose(unit_of(unit).factor, wanted, rel_tol=1e-4)), None)
+    if unit is not None:
+        return replace(guess, unit=unit, why=_told(finding))
+    return replace(guess, scale=float(f"{guess.scale * factor:.10g}"), why=_told(finding))
+
+
+def _told(finding: ChannelFinding) -> str:
+    return f"values: {finding.finding}"
+
+
+def as_answered(found: Map, answers: Answers) -> Map:
+    """Take the pressures as ``pressures`` was answered, unless their unit says it itself."""
+    if answers.rig.get("pressures") == "gauge":
+        for name in absolute(found):
+            found = _as_gauge(found, name, "answered: gauge")
+    return found
+
+
+def absolute(found: Map) -> list[str]:
+    """Return the pressures whose unit does not say that they are gauge pressures."""
+    return [name for name in ("p1", "p2") if name in found.channels
+            and found.channels[name].unit and "gauge" not in found.channels[name].unit]
+
+
+def _as_gauge(found: Map, name: str, why: str) -> Map:
+    guess = found.channels[name]
+    return found.with_channel(name, replace(guess, unit=f"{guess.unit} gauge", why=why))
+
+
+def not_absolute(found: Map, recording: Recording, answers: Answers) -> tuple[Map, str]:
+    """Take pressures that stay below the atmosphere's for gauge ones; what is to be said else.
+
+    A chamber that cavitates is below it for moments: a hundredth of the samples must be.
+    """
+    low = {name: float(np.nanquantile(recording.get(name), 0.01)) for name in absolute(found)
+           if name in recording.channels and np.isfinite(recording.get(name)).any()}
+    if not low or min(low.values()) > BELOW:
+        return found, ""
+    name = min(low, key=low.get)
+    why = (f"{name} goes down to {low[name] / 1e5:.2f} bar, and an absolute pressure of a chamber "
+           "at rest is not below 1 bar")
+    if answers.rig.get("pressures") == "absolute":
+        return found, f"{why}: are these gauge pressures?  --set pressures=gauge"
+    for name in low:
+        found = _as_gauge(found, name, f"values: {why}")
+    return found, ""

@@ -1,16 +1,41 @@
-"""The rig of a draft: what was answered (``--set``), what follows, what the recording shows."""
+"""The rig of a draft: what was answered (``--set``), what follows, what the recording shows.
+
+Its numbers, their tolerances, the effects of a load, and the choices that are still to be made.
+"""
 
 from dataclasses import dataclass, replace
-from math import degrees, pi
+from math import degrees, pi, sin
 
 import numpy as np
 
 from eha_monitor.draft.answers import Answers
+from eha_monitor.errors import InputError
 from eha_monitor.settings.rig import Rig
 
 FITS = 0.97  # share of the pump speed's variance that a gain must explain to be written
 PAPER = "default of the paper"
 MEAN_FREE = "the mean of both pressures"
+GRAVITY = 9.81  # m/s²
+# Key -> tolerance where it was answered, where it follows from other numbers or the recording,
+# where nobody knows it and the paper's stands in its place.
+_TOLERANCES = {"area_1": (0.005, 0.01, 0.0), "area_2": (0.005, 0.01, 0.0),
+               "volume_1": (0.05, 0.1, 0.3), "volume_2": (0.05, 0.1, 0.3),
+               "mass": (0.05, 0.1, 0.5), "pump_displacement": (0.03, 0.03, 0.0),
+               "position_gain": (0.03, 0.01, 0.0), "charge_pressure": (0.2, 0.1, 0.5),
+               "leakage": (3.0, 3.0, 10.0), "makeup_conductance": (3.0, 3.0, 10.0)}
+_FACTORS = ("leakage", "makeup_conductance")
+QUESTIONS = {
+    "machine": "machine: double_rod (pump-controlled), two_pumps or accumulator (single rod), "
+               "valve (cylinder behind a valve), force (axis with a measured force or torque)",
+    "load": "load on the rod beside mass and friction: none, gravity, spring, or unknown (a "
+            "linkage, a process)",
+    "inclination": "inclination of the axis, such as 20 deg, positive if growing x lifts the load",
+    "spring": "stiffness of the spring, such as 8000 N/m",
+    "spring_rest": "position at which the spring is relaxed, such as 0 mm",
+    "zero": "x = 0 of the position lies at the middle of the stroke, or at the end with the rod "
+            "retracted or extended; or what x reads in the middle, such as 137 mm",
+    "pressures": "pressures are absolute or gauge (0 bar in the open air); absolute until told",
+}
 
 
 @dataclass(frozen=True)
@@ -161,13 +186,9 @@ def zero_of(answers: Answers, seen: Seen) -> tuple[str, str]:
     return "middle", ""
 
 
-# Where x = 0 lies -> the ends of the stroke, as shares of it.
-_ENDS = {"middle": (-0.5, 0.5), "retracted": (0.0, 1.0), "extended": (-1.0, 0.0)}
-
-
 def _beyond(zero: str, stroke: float, span: tuple[float, float]) -> bool:
-    low, high = _ENDS[zero]
-    return span[0] < (low - 0.03) * stroke or span[1] > (high + 0.03) * stroke
+    below, above = _SHARES[zero]
+    return span[0] < -(below + 0.03) * stroke or span[1] > (above + 0.03) * stroke
 
 
 def no_such_zero(answers: Answers, seen: Seen, rotary: bool = False) -> str:
@@ -257,7 +278,75 @@ def _charge(answers: Answers, seen: Seen, *areas: Entry) -> Entry:
                  f"absolute, of the make-up source, such as 20 bar; this is the {PAPER}", True)
 
 
-def seen_in(recording, rig_known: bool = True) -> Seen:
+def effects_of(answers: Answers, entries: list[Entry], seen: Seen) -> list[Entry]:
+    """Return the lines of ``effects``: the load that was answered, volumes that change with x.
+
+    Raises
+    ------
+    InputError
+        If the load is one that a rotary actuator has not.
+    """
+    turns = any(entry.key == "motion" and entry.value == "rotary" for entry in entries)
+    if turns and answers.rig.get("load") == "gravity":
+        raise InputError("--set load=gravity: expected none, spring or unknown of a rotary "
+                         "actuator, since the torque of a weight changes with the angle; unknown "
+                         "lets diagnose identify it")
+    found, of = [], {entry.key: value_of(entry, answers) for entry in entries
+                     if entry.key in ("area_1", "area_2", "volume_1", "volume_2", "mass")}
+    load, slope, spring = (answers.rig.get("load"), answers.number("inclination"),
+                           answers.number("spring"))
+    if load == "gravity" and slope is not None:
+        weight = of["mass"] * GRAVITY * sin(slope)
+        found.append(Entry("constant_load", f"{{F_0: {number(weight)}}}", "answered: weight of "
+                           f"the mass at {answers.rig['inclination']}, N against growing x"))
+    if load == "spring" and spring:
+        rest = answers.number("spring_rest") or 0.0
+        found.append(Entry("spring_load", f"{{k: {number(spring)}, x_0: {number(rest)}}}",
+                           f"answered: {answers.rig['spring']}, relaxed at "
+                           f"{answers.rig.get('spring_rest', 'x = 0')}"))
+    zero, who = zero_of(answers, seen)
+    shrinking = of["volume_1" if zero == "extended" else "volume_2"]
+    if zero != "middle" and shrinking and of["area_1"] and not answers.lacks("volume_1"):
+        # One area for both chambers; of a single rod the mean, as long as oil is left at the end.
+        reach = max(map(abs, seen.span)) if seen.span else answers.number("stroke") or 1.0
+        slope = min(0.5 * (of["area_1"] + of["area_2"]), 0.8 * shrinking / reach)
+        found.append(Entry("position_dependent_volume", f"{{A_v: {number(slope)}}}", f"{who}: x = "
+                           "0 is at an end; the volumes above hold there and change with x"))
+    return found
+
+
+def tolerances(entries: list[Entry]) -> list[Entry]:
+    """Return the lines of ``rig.tolerance``: how far off each may be, by its source."""
+    found = []
+    for entry in entries:
+        if entry.key not in _TOLERANCES or entry.value == "null" or "not used" in entry.why:
+            continue
+        of = (2 if entry.ask else 0 if entry.why == "answered" else 1)
+        words = ("data sheet", "computed or seen", "nobody has told it")[of]
+        unit = "a factor" if entry.key in _FACTORS else "relative"
+        found.append(Entry(entry.key, number(_TOLERANCES[entry.key][of]), f"{unit}; {words}"))
+    return found
+
+
+def open_choices(answers: Answers, entries: list[Entry], seen: Seen, gauge_known: bool
+                 ) -> list[tuple[str, str]]:
+    """Return key and question of each choice that neither a person nor the recording has made."""
+    told = answers.rig
+    asked = [key for key in ("machine", "load") if key not in told]
+    asked += [key for load, key in (("gravity", "inclination"), ("spring", "spring"))
+              if told.get("load") == load and key not in told]
+    if "stroke" in told and not ("volume_1" in told and "volume_2" in told) and (
+            not zero_of(answers, seen)[1]):
+        asked.append("zero")
+    if "pressures" not in told and not gauge_known:
+        asked.append("pressures")
+    found = [(key, QUESTIONS[key]) for key in asked if not answers.lacks(key)]
+    turns = any(entry.key == "motion" and entry.value == "rotary" for entry in entries)
+    outside = "" if answers.lacks("zero") else no_such_zero(answers, seen, turns)
+    return [*(one for one in found if one[0] != "zero"), ("zero", outside)] if outside else found
+
+
+def seen_in(recording) -> Seen:
     """Return what a recording, in SI, shows of its rig."""
     step = recording.sample_time
     gain = charge = ratio = span = None

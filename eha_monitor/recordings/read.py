@@ -281,7 +281,7 @@ def _read(path: str | Path, settings: Settings, streamed: bool) -> Recording:
     if collector.stream is not None:
         recording = collector.stream.finish(str(path), losses, found)
     else:
-        recording = align(collector.channels(str(path), losses, found), settings,
+        recording = align(collector.channels(found), settings,
                           source=str(path), losses=losses)
     if any(file.truncated_at is not None for file in bag.files):
         recording = replace(recording, losses=tuple(
@@ -444,8 +444,7 @@ class Collector:
     def _on_grid(self, name: str) -> bool:
         return self.stream is not None and name in self.stream.lanes
 
-    def channels(self, source: str, losses: list[str], found: Sources
-                 ) -> dict[str, tuple[Series, str]]:
+    def channels(self, found: Sources) -> dict[str, tuple[Series, str]]:
         """Return channel -> series in SI and its topic."""
         return {name: (reader.series(want).in_si(self.channels_wanted[name]), reader.topic)
                 for name, (reader, want) in found.items()}

@@ -214,7 +214,7 @@ def number_of(value: Any, unit: str) -> Any:
     return float(value) if isinstance(value, int) and not isinstance(value, bool) else value
 
 
-def settings_of_node(node: Node, settings: Settings, source: str = "ROS parameters") -> Settings:
+def settings_of_node(node: Node, settings: Settings) -> Settings:
     """Return the settings with what ``-p`` and ``--params-file`` say on top.
 
     The node must have been made with ``automatically_declare_parameters_from_overrides``: only
@@ -228,10 +228,10 @@ def settings_of_node(node: Node, settings: Settings, source: str = "ROS paramete
     given = {name: parameter.value
              for name, parameter in node.get_parameters_by_prefix("").items()
              if name.split(".")[0] not in ROS_OWN}
-    changed = overridden(settings, given, source, as_config=True)
+    changed = overridden(settings, given, "ROS parameters", as_config=True)
     if changed.monitor.namespace != settings.monitor.namespace:
-        raise InputError(f"{source}: monitor.namespace: expected it in --config, or as a remap "
-                         f"'-r __ns:={changed.monitor.namespace}'")
+        raise InputError("ROS parameters: monitor.namespace: expected it in --config, or as a "
+                         f"remap '-r __ns:={changed.monitor.namespace}'")
     for name in given:
         node.undeclare_parameter(name)
     return changed

@@ -63,8 +63,8 @@ class Table:
 
 
 def prove_simulator(ground: Ground, data: Path, config: Path,
-                    announce: Callable[[str], None], say: Callable[[str, float], None],
-                    motions: tuple[str, ...] = ()) -> dict:
+                    announce: Callable[[str], None], say: Callable[[str, float], None]
+                    ) -> dict:
     """Run the trial on the recordings of a folder.
 
     Parameters
@@ -72,12 +72,9 @@ def prove_simulator(ground: Ground, data: Path, config: Path,
     ground : ``cases`` counts rigs; 0 takes all.
     data : folder of ``RIG_MOTION.csv.gz`` and ``key.json``.
     config : nominal config with the ``table`` section for the import.
-    motions : the questions of each rig: names of motions, and ``both``; all unless given.
     """
     tables = tables_of(data, config, ground)
-    questions = questions_of(tables, motions)
-    used = {bag for question in questions for bag in question.bags}
-    tables = tuple(table for table in tables if table.name in used)
+    questions = questions_of(tables)
     trial = ground.trial(tables, questions, conceal=conceal,
                          complete=partial(completed, data=data, config=config))
     found = prove(trial, announce, say)
@@ -105,8 +102,7 @@ def tables_of(data: Path, config: Path, ground: Ground) -> tuple[Table, ...]:
     return tuple(table for table in found if table.rig in rigs)
 
 
-def questions_of(tables: tuple[Table, ...], motions: tuple[str, ...] = ()
-                 ) -> tuple[Question, ...]:
+def questions_of(tables: tuple[Table, ...]) -> tuple[Question, ...]:
     """Return the questions: each recording by itself, and those of a rig together."""
     groups: dict[str, list[str]] = {}
     for table in tables:
@@ -114,7 +110,7 @@ def questions_of(tables: tuple[Table, ...], motions: tuple[str, ...] = ()
     found = [Question(table.name, (table.name,)) for table in tables]
     found += [Question(f"{rig}_both", tuple(names)) for rig, names in groups.items()
               if len(names) > 1]
-    return tuple(q for q in found if not motions or q.name.rpartition("_")[2] in motions)
+    return tuple(found)
 
 
 def conceal(table: Table, folder: Path) -> dict:
