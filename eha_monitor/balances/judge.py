@@ -9,7 +9,7 @@ from eha_monitor import ties
 from eha_monitor.balances.alone import parameters_of
 from eha_monitor.balances.candidates import balances_in, candidates_of
 from eha_monitor.balances.course import Course
-from eha_monitor.balances.machine import Machine, MachineBalance, Setting, oil_of
+from eha_monitor.balances.machine import Machine, MachineBalance, Setting, oil_of, usual_of
 from eha_monitor.balances.named import FORCE_OF_SENSORS
 from eha_monitor.balances.policy import POLICY, Policy
 from eha_monitor.balances.scatter import Amplitudes, Scatter, amplitudes_of, limit_of, ridge_of
@@ -137,8 +137,11 @@ def judge(machine: Machine, courses: Sequence[Course], settings: Settings) -> Ju
                            if c.name in {*one.terms, *one.scatter.names})
         tables = tables_of(courses, rig, one.balance, candidates, machine.policy)
         table = pooled_table(tables)
+        usual = {name: pair for name, pair in usual_of(one.settings, {
+            c.name: c for c in candidates}).items() if name in table.places}
         held = {p.name: p.value for p in one.parameters if p.name in table.places}
-        loads = {s.name for s in one.settings}
+        held |= {name: mean for name, (mean, _) in usual.items()}
+        loads = {s.name for s in one.settings if s.name not in usual}
         free = [name for name in table.places if name.partition(" ")[0] in loads]
         value, stddev = setting_of(table, [table.places[name] for name in held],
                                    [table.places[name] for name in free],
@@ -146,7 +149,9 @@ def judge(machine: Machine, courses: Sequence[Course], settings: Settings) -> Ju
         own |= {name: (float(v), float(d)) for name, v, d in zip(free, value, stddev,
                                                                  strict=True)}
         signed = {c.name for c in candidates if c.sign and c.effect not in settings.effects}
-        found.append(replace(_judged(machine, one, table, held, free, common.get("F_0"), signed),
+        loose = {name: spread for name, (_, spread) in usual.items()}
+        found.append(replace(_judged(machine, one, table, held, free, common.get("F_0"), signed,
+                                     loose),
                              each=tuple(tables)))
         fitted = list(dict.fromkeys([
             *(name for name in found[-1].now if name in table.places), *free]))
@@ -157,13 +162,15 @@ def judge(machine: Machine, courses: Sequence[Course], settings: Settings) -> Ju
 
 
 def _judged(machine: Machine, one: MachineBalance, table: Table, held: dict[str, float],
-            free: list[str], load: Setting | None, signed: set[str]) -> JudgedBalance:
+            free: list[str], load: Setting | None, signed: set[str],
+            loose: dict[str, float]) -> JudgedBalance:
     """Return what has changed in one balance: one more term at a time, until none is far.
 
     Parameters
     ----------
     load : in which all of the machine's recordings agree; compared last, beside all else.
     signed : terms of which the config holds nothing, so that their sign is that of physics.
+    loose : spread of what a setting has beside its load.
     """
     policy = machine.policy
 
@@ -175,16 +182,17 @@ def _judged(machine: Machine, one: MachineBalance, table: Table, held: dict[str,
 
     of = {c.name: c for c in table.candidates}
     order = {c.name: i for i, c in enumerate(table.candidates)}
-    oil = oil_of([p for p in one.parameters if p.name in of], of, policy)
+    oil = loose | oil_of([p for p in one.parameters if p.name in of], of, policy)
     names = [name for name in one.scatter.names
              if name in table.places and name in one.beside.names]
     scatter, beside = one.scatter.only(names), one.beside.only(names)
-    left, loose = (amplitudes_of(table, held, free, names, spreads) for spreads in ({}, oil))
+    left, free_oil = (amplitudes_of(table, held, free, names, spreads)
+                      for spreads in (loose, oil))
     first, changes, now = left, [], dict(held)
     largest, complete = None, not names
     while names:
         # Beyond what its own recordings do, the oil held or free within its spread.
-        t, far = _farther(scatter, left, beside, loose, policy)
+        t, far = _farther(scatter, left, beside, free_oil, policy)
         place = ties.largest(far)
         if largest is None:
             largest = _moved(scatter, table, held, first, place, t[place], scatter.limit[place])
@@ -192,15 +200,31 @@ def _judged(machine: Machine, one: MachineBalance, table: Table, held: dict[str,
         if complete or len(changes) == MOST_CHANGES:
             break
         amount, gone = left.with_others(oil, scatter.mean, policy.varied)
-        removed = np.where(far > 1.0, gone, -np.inf)
         taken = [name for name, _ in changes]
-        removed[[name in taken or (name in signed and of[name].sign * (
+        gone[[name in taken or (name in signed and of[name].sign * (
             now.get(name, 0.0) + step) < 0.0) for name, step in zip(
                 left.names, amount, strict=True)]] = -np.inf
-        most = float(removed.max())
-        if not most > 0.0:
+        before = error(with_oil(table, now, free, oil, policy))
+
+        def lowered(i: int) -> tuple[float, dict[str, float]]:
+            """Return by how much a term's change lowers the error, and the parameters with it."""
+            name = left.names[i]
+            more = now | {name: now.get(name, 0.0) + float(amount[i])}  # noqa: B023
+            return before - error(with_oil(table, more, free, {  # noqa: B023
+                key: value for key, value in oil.items() if key != name}, policy)), more
+
+        # That something has changed, a term shows that goes farther than healthy recordings do
+        # and matters; which it is, what explains the recording.
+        shows = ties.largest(np.where(far > 1.0, gone, -np.inf))
+        if not (far[shows] > 1.0 and gone[shows] > 0.0):
             complete = True  # what is far is no physics: the balance's error says whether it is
             break
+        if not (lowered(shows)[0] > policy.worse
+                or is_loud(before, max(one.held), one.size, table)):
+            complete = True  # too little to repair a machine for
+            break
+        removed = np.where(far * np.array(scatter.limit) > policy.varied, gone, -np.inf)
+        most = float(removed.max())
         # What removes nearly as much is a rival.  Of what leaves the same, a number that the
         # machine has comes first, then what stands first among the candidates.  But a seal wears
         # before a load or a spring comes to a machine; its oil is another matter.
@@ -212,20 +236,14 @@ def _judged(machine: Machine, one: MachineBalance, table: Table, held: dict[str,
                                order[left.names[i]]))
         if not of[left.names[i]].of_oil:
             i = next((j for j in equal if left.names[j] == WEARS), i)
-        name = left.names[i]
-        more = now | {name: now.get(name, 0.0) + float(amount[i])}
-        before = error(with_oil(table, now, free, oil, policy))
-        lower = before - error(with_oil(table, more, free, {
-            key: value for key, value in oil.items() if key != name}, policy))
-        if not (lower > policy.worse or is_loud(before, max(one.held), one.size, table)):
-            complete = True  # too little to repair a machine for
-            break
+        name, (lower, more) = left.names[i], lowered(i)
         equal.remove(i)
         rivals = tuple(dict.fromkeys(other for j in equal if (
             other := of[left.names[j]].effect) != of[name].effect))
         changes.append((name, _moved(scatter, table, held, replace(
             left, value=scatter.mean + amount), i, t[i], scatter.limit[i], lower, rivals)))
-        now, left, loose = more, *(one.moved(i, float(amount[i])) for one in (left, loose))
+        now = more
+        left, free_oil = (each.moved(i, float(amount[i])) for each in (left, free_oil))
 
     now = with_oil(table, now, free, {
         key: value for key, value in oil.items() if key not in dict(changes)}, policy)

@@ -378,6 +378,9 @@ def _balance(kind: str, courses: Sequence[Course], scale: Scale, rig: Rig,
         for name, value, stddev in zip(fit.settings, fit.setting.T, fit.setting_stddev.T,
                                        strict=True))
     weights = dict(zip(fit.names, fit.value.tolist(), strict=True))
+    usual = usual_of(settings, of)
+    weights |= {name: mean for name, (mean, _) in usual.items()}
+    loose = {name: spread for name, (_, spread) in usual.items()}
     return MachineBalance(
         kind, parameters, settings, _rows(fit.each), _rows(fit.each_stddev),
         tuple(nominal_errors(kind, tables, rig).tolist()), tuple(chosen.errors.tolist()),
@@ -385,10 +388,26 @@ def _balance(kind: str, courses: Sequence[Course], scale: Scale, rig: Rig,
         float(np.median(sizes)), float(np.median([table.floor for table in tables])),
         float(sum(table.effective for table in tables)), chosen.steps,
         chosen.named, *(scatter_of(
-            tables, weights, fit.settings, allowed, policy, oil, pieces)
-            for oil in ({}, oil_of(parameters, of, policy))), refused,
+            tables, weights, [s.name for s in settings if s.name not in usual], allowed, policy,
+            loose | oil, pieces) for oil in ({}, oil_of(parameters, of, policy))), refused,
         tuple(recordings.errors(chosen.names).tolist()),
         _forms(recordings, beside, chosen.names, allowed, policy), levers_of(tables, fit.names))
+
+
+def usual_of(settings: Sequence[Setting], of: Mapping[str, Candidate]
+             ) -> dict[str, tuple[float, float]]:
+    """Return mean and spread of what a setting has beside its constant load, SI.
+
+    Another recording is free within that spread and no farther: a load that acts in one direction
+    and a constant one together are just a dry friction.
+    """
+    found = {}
+    for one in settings:
+        if not of[one.name].always:
+            spread = float(np.std(one.value, ddof=1)) if len(one.value) > 1 else np.inf
+            found[one.name] = float(np.mean(one.value)), max(
+                spread, float(np.median(one.stddev)))
+    return {name: pair for name, pair in found.items() if 0.0 < pair[1] < np.inf}
 
 
 def oil_of(parameters: Sequence[Parameter], of: Mapping[str, Candidate], policy: Policy
