@@ -129,5 +129,5 @@ def _parts(plant: Simulator, samples: int, say) -> Iterator[dict]:
     batch = max(1, round(BATCH_S / plant.dt))
     while plant.samples < samples:
         count = min(batch, samples - plant.samples)
-        yield plant.advance(count)
+        yield plant.batch(count)
         say("simulating", plant.samples / samples)

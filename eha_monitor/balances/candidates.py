@@ -351,7 +351,7 @@ def flow_candidates(scale: Scale, rig: Rig) -> tuple[Candidate, ...]:
 
     return (
         one("D_p", "pump_displacement", "m³/rad", "pump displacement", 1, lambda c, r: c.omega,
-            always=True, between=0.02, power=1.0),
+            always=True, between=0.02, power=1.0, twins=("position_scale",)),
         one("dD_p", "pump_loss_by_direction", "m³/rad", "further displacement where it retracts",
             0, lambda c, r: np.minimum(c.omega, 0.0), odd=False, power=1.0),
         one("C_h", "compliance", "m³/Pa", "compliance of a chamber", 1,

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from eha_monitor import ties
-from eha_monitor.balances.alone import parameters_of
+from eha_monitor.balances.alone import covariance_by_chance, form_and_doubts
 from eha_monitor.balances.candidates import balances_in, candidates_of
 from eha_monitor.balances.course import Course
 from eha_monitor.balances.machine import Machine, MachineBalance, Setting, oil_of, usual_of
@@ -156,8 +156,10 @@ def judge(machine: Machine, courses: Sequence[Course], settings: Settings) -> Ju
         fitted = list(dict.fromkeys([
             *(name for name in found[-1].now if name in table.places), *free]))
         # All together: else damping takes up the friction that came.
-        values |= {name: row for name, *row in zip(fitted, *parameters_of(table, fitted),
-                                                   strict=True) if name in held}
+        here, chance = covariance_by_chance(table, fitted)
+        covariance = chance + form_and_doubts(table, fitted, found[-1].after, machine.policy)
+        values |= {name: row for name, *row in zip(
+            fitted, here, np.sqrt(np.diag(covariance)).tolist(), strict=True) if name in held}
     return Judged(", ".join(one.source for one in courses), tuple(found), own, values)
 
 
@@ -179,6 +181,13 @@ def _judged(machine: Machine, one: MachineBalance, table: Table, held: dict[str,
         return unseen(table, [table.places[name] for name in known],
                       [table.places[name] for name in free if name not in known],
                       np.array(list(known.values())))
+
+    def with_step(weights: dict[str, float], name: str, step: float
+                  ) -> tuple[float, dict[str, float]]:
+        """Return the error with a term moved, the oil at its best beside it, and the weights."""
+        more = weights | {name: weights.get(name, 0.0) + float(step)}
+        others = {key: value for key, value in oil.items() if key != name}
+        return error(with_oil(table, more, free, others, policy)), more
 
     of = {c.name: c for c in table.candidates}
     order = {c.name: i for i, c in enumerate(table.candidates)}
@@ -205,21 +214,13 @@ def _judged(machine: Machine, one: MachineBalance, table: Table, held: dict[str,
             now.get(name, 0.0) + step) < 0.0) for name, step in zip(
                 left.names, amount, strict=True)]] = -np.inf
         before = error(with_oil(table, now, free, oil, policy))
-
-        def lowered(i: int) -> tuple[float, dict[str, float]]:
-            """Return by how much a term's change lowers the error, and the parameters with it."""
-            name = left.names[i]
-            more = now | {name: now.get(name, 0.0) + float(amount[i])}  # noqa: B023
-            return before - error(with_oil(table, more, free, {  # noqa: B023
-                key: value for key, value in oil.items() if key != name}, policy)), more
-
         # That something has changed, a term shows that goes farther than healthy recordings do
         # and matters; which it is, what explains the recording.
         shows = ties.largest(np.where(far > 1.0, gone, -np.inf))
         if not (far[shows] > 1.0 and gone[shows] > 0.0):
             complete = True  # what is far is no physics: the balance's error says whether it is
             break
-        if not (lowered(shows)[0] > policy.worse
+        if not (before - with_step(now, left.names[shows], amount[shows])[0] > policy.worse
                 or is_loud(before, max(one.held), one.size, table)):
             complete = True  # too little to repair a machine for
             break
@@ -236,12 +237,14 @@ def _judged(machine: Machine, one: MachineBalance, table: Table, held: dict[str,
                                order[left.names[i]]))
         if not of[left.names[i]].of_oil:
             i = next((j for j in equal if left.names[j] == WEARS), i)
-        name, (lower, more) = left.names[i], lowered(i)
+        name = left.names[i]
+        after, more = with_step(now, name, amount[i])
         equal.remove(i)
-        rivals = tuple(dict.fromkeys(other for j in equal if (
-            other := of[left.names[j]].effect) != of[name].effect))
+        rivals = tuple(dict.fromkeys([*of[name].twins, *(
+            other for j in equal if (other := of[left.names[j]].effect) != of[name].effect)]))
         changes.append((name, _moved(scatter, table, held, replace(
-            left, value=scatter.mean + amount), i, t[i], scatter.limit[i], lower, rivals)))
+            left, value=scatter.mean + amount), i, t[i], scatter.limit[i], before - after,
+                rivals)))
         now = more
         left, free_oil = (each.moved(i, float(amount[i])) for each in (left, free_oil))
 

@@ -157,7 +157,7 @@ def first_look(settings: Settings, bounds: Bounds) -> tuple[Experiment, list[Str
     there = settings.model_copy(update={"simulation": settings.simulation.model_copy(
         update={"excitation": {"sine": sine}, "faults": {}})})
     simulator = Simulator(there)
-    recording = Recording(simulator.dt, simulator.advance(round(period / simulator.dt)),
+    recording = Recording(simulator.dt, simulator.batch(round(period / simulator.dt)),
                           source="config")
     experiment = experiment_of([recording], settings.model_copy(
         update={"command_hold": "continuous"}), hold_out=False)

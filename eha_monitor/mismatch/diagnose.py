@@ -154,8 +154,10 @@ def _diagnosed(recordings: list[Recording], settings: Settings, held_out: Record
     if found.verdict == "unexplained" and not found.learned:
         if far:
             return by_first(first, started), None
-        # Innovations of another form than the config's laws are no mismatch of this machine.
-        if stands and first.verdict != "mismatch" and not credible(experiment, {}):
+        # Innovations of another form than the config's laws are no mismatch of this machine, and
+        # no balance is theirs.
+        if hypothesis is None and first is not None and first.verdict != "mismatch" and (
+                not credible(experiment, {})):
             return by_first(first, started), None
     decided = decision is not None and decision.decided
     return replace(found, machine=None if first is None else first.machine,

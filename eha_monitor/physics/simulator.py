@@ -4,10 +4,13 @@ from collections.abc import Callable
 
 import numpy as np
 
+from eha_monitor.errors import InputError
 from eha_monitor.physics import excitation, parameters, plant, signals
 from eha_monitor.physics.contributions import circuit_of, new_memory
 from eha_monitor.settings.monitor import Settings
-from eha_monitor.settings.rig import Fault
+from eha_monitor.settings.rig import Fault, Rig
+
+RUN_AWAY = 1e11  # Pa: no oil stands it
 
 
 class Simulator:
@@ -25,7 +28,7 @@ class Simulator:
     def __init__(self, settings: Settings, seed: int | None = None, source: str = "config",
                  demand: Callable[[np.ndarray], np.ndarray] | None = None):
         parameters.require_plant(settings.rig, source)
-        self.settings = settings
+        self.settings, self._source = settings, source
         self.dt = settings.rig.sample_time
         self.samples = 0
         effects = dict(settings.effects)
@@ -65,6 +68,20 @@ class Simulator:
     def advance(self, n: int) -> dict[str, np.ndarray]:
         """Simulate the next ``n`` samples and return what the sensors show, channel -> (n,)."""
         return self.measure(*self._run(n))
+
+    def batch(self, n: int) -> dict[str, np.ndarray]:
+        """Return the same as :meth:`advance`, of a rig that does not run away.
+
+        Raises
+        ------
+        InputError
+            If it does, with what its position loop may be at most.
+        """
+        truth, shown = self._run(n)
+        if not (np.abs(truth[:, [signals.P1, signals.P2]]) < RUN_AWAY).all():
+            raise InputError(f"{self._source}: the simulated rig is unstable"
+                             + _loop_words(self.settings.rig))
+        return self.measure(truth, shown)
 
     def advance_truth(self, n: int) -> np.ndarray:
         """Simulate ``n`` samples; (n, N_SIGNALS) true signals, and the state moves on."""
@@ -151,6 +168,22 @@ class Simulator:
         if step > 0 and "x" in measured:
             measured["x"] = step * np.round(measured["x"] / step)
         return measured
+
+
+def _loop_words(rig: Rig) -> str:
+    """Return in words that the position loop is too fast, "" where it is not.
+
+    Of C M s^3 + (C B + L M) s^2 + (L B + A^2) s + A D K, with the chambers' C = V / (2 beta), the
+    Hurwitz criterion bounds K D / A (Merritt 1967, Eq. 8-15, with B beside it).
+    """
+    area, soft = rig.area_1, rig.volume_1 / (2.0 * rig.bulk_modulus)
+    most = (soft * rig.viscous_damping + rig.leakage * rig.mass) * (
+        rig.leakage * rig.viscous_damping + area**2) / (soft * rig.mass * area**2)
+    loop = (rig.position_gain or 0.0) * rig.pump_displacement / area
+    return "" if loop < most else (
+        f": the position loop's gain rig.position_gain·pump_displacement/area_1 is {loop:.3g} "
+        f"1/s, and this oil column allows {most:.3g} 1/s: expected a smaller position_gain, or "
+        "a larger viscous_damping or leakage")
 
 
 def progress(fault: Fault, time: np.ndarray) -> np.ndarray:
