@@ -1,4 +1,4 @@
-"""A machine that stands under a load says nothing, and is no mismatch; one that is stuck is none."""
+"""A machine that stands under a load is no mismatch; a stuck one is."""
 
 import numpy as np
 import pytest

@@ -137,10 +137,9 @@ def judge(machine: Machine, courses: Sequence[Course], settings: Settings) -> Ju
                            if c.name in {*one.terms, *one.scatter.names})
         tables = tables_of(courses, rig, one.balance, candidates, machine.policy)
         table = pooled_table(tables)
-        usual = {name: pair for name, pair in usual_of(one.settings, {
-            c.name: c for c in candidates}).items() if name in table.places}
-        held = {p.name: p.value for p in one.parameters if p.name in table.places}
-        held |= {name: mean for name, (mean, _) in usual.items()}
+        usual, loose = usual_of(one.settings, {
+            c.name: c for c in candidates if c.name in table.places})
+        held = {p.name: p.value for p in one.parameters if p.name in table.places} | usual
         loads = {s.name for s in one.settings if s.name not in usual}
         free = [name for name in table.places if name.partition(" ")[0] in loads]
         value, stddev = setting_of(table, [table.places[name] for name in held],
@@ -149,7 +148,6 @@ def judge(machine: Machine, courses: Sequence[Course], settings: Settings) -> Ju
         own |= {name: (float(v), float(d)) for name, v, d in zip(free, value, stddev,
                                                                  strict=True)}
         signed = {c.name for c in candidates if c.sign and c.effect not in settings.effects}
-        loose = {name: spread for name, (_, spread) in usual.items()}
         found.append(replace(_judged(machine, one, table, held, free, common.get("F_0"), signed,
                                      loose),
                              each=tuple(tables)))

@@ -1,8 +1,7 @@
 """One machine from many recordings: structure, parameters, their spread, and what stays open."""
 
-import json
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -23,7 +22,6 @@ from eha_monitor.balances.scatter import Scatter, scatter_of
 from eha_monitor.balances.table import Table, nominal_of, tables_of
 from eha_monitor.balances.together import Chosen, Named, Recordings, pooled
 from eha_monitor.errors import InputError
-from eha_monitor.output import write_json
 from eha_monitor.quantity import quantity, share
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings.monitor import Settings
@@ -221,10 +219,6 @@ def _plain(tree):
     return None if isinstance(tree, float) and not np.isfinite(tree) else tree
 
 
-def _numbers(row: Sequence) -> tuple:
-    return tuple(np.inf if value is None else value for value in row)
-
-
 def rms(values: Sequence[float]) -> float:
     """Return the root of the mean square."""
     return float(np.sqrt(np.mean(np.square(values))))
@@ -264,6 +258,9 @@ def healthy_machine(recordings: Sequence[Recording], settings: Settings,
         If no recording has a force balance, or so few are too short to be cut.
     """
     _, courses, _ = courses_of(recordings, settings)
+    if not any(course.moving.any() for course in courses):
+        raise InputError(f"{recordings[0].source}: expected a reference recording in which the "
+                         "piston moves, found none")
     if len(courses) >= policy.fewest:
         machine = machine_from(courses, settings.rig, (), (), policy)
         strange = {one.place for one in machine.odd}
@@ -378,9 +375,8 @@ def _balance(kind: str, courses: Sequence[Course], scale: Scale, rig: Rig,
         for name, value, stddev in zip(fit.settings, fit.setting.T, fit.setting_stddev.T,
                                        strict=True))
     weights = dict(zip(fit.names, fit.value.tolist(), strict=True))
-    usual = usual_of(settings, of)
-    weights |= {name: mean for name, (mean, _) in usual.items()}
-    loose = {name: spread for name, (_, spread) in usual.items()}
+    usual, loose = usual_of(settings, of)
+    weights |= usual
     return MachineBalance(
         kind, parameters, settings, _rows(fit.each), _rows(fit.each_stddev),
         tuple(nominal_errors(kind, tables, rig).tolist()), tuple(chosen.errors.tolist()),
@@ -395,19 +391,19 @@ def _balance(kind: str, courses: Sequence[Course], scale: Scale, rig: Rig,
 
 
 def usual_of(settings: Sequence[Setting], of: Mapping[str, Candidate]
-             ) -> dict[str, tuple[float, float]]:
-    """Return mean and spread of what a setting has beside its constant load, SI.
+             ) -> tuple[dict[str, float], dict[str, float]]:
+    """Return mean and spread of what a setting has beside its constant load, by name, SI.
 
     Another recording is free within that spread and no farther: a load that acts in one direction
     and a constant one together are just a dry friction.
     """
-    found = {}
+    means, spreads = {}, {}
     for one in settings:
-        if not of[one.name].always:
-            spread = float(np.std(one.value, ddof=1)) if len(one.value) > 1 else np.inf
-            found[one.name] = float(np.mean(one.value)), max(
-                spread, float(np.median(one.stddev)))
-    return {name: pair for name, pair in found.items() if 0.0 < pair[1] < np.inf}
+        spread = max(float(np.std(one.value, ddof=1)) if len(one.value) > 1 else np.inf,
+                     float(np.median(one.stddev)))
+        if one.name in of and not of[one.name].always and 0.0 < spread < np.inf:
+            means[one.name], spreads[one.name] = float(np.mean(one.value)), spread
+    return means, spreads
 
 
 def oil_of(parameters: Sequence[Parameter], of: Mapping[str, Candidate], policy: Policy
@@ -509,66 +505,3 @@ def _odd(sources: Sequence[str], balances: Sequence[MachineBalance], policy: Pol
                     found.setdefault(i, Odd(source, f"its {p.words} is {far:.1f} deviations "
                                             "from that of the others", i))
     return tuple(found.values())
-
-
-def save(machine: Machine, path: Path) -> None:
-    """Write a machine as a small JSON file."""
-    write_json(path, machine.to_dict())
-
-
-def load(path: Path) -> Machine:
-    """Read a machine that :func:`save` wrote.
-
-    Raises
-    ------
-    InputError
-        Naming the file, if it holds none.
-    """
-    try:
-        data = json.loads(Path(path).read_text(encoding="utf-8"))
-        if data.get("schema") != SCHEMA:
-            raise ValueError(f"expected schema {SCHEMA}")
-        balances = tuple(_read_balance(one) for one in data["balances"])
-        known = {f.name for f in fields(Policy)}
-        return Machine(
-            data["rig"], tuple(row["recording"] for row in data["settings"]),
-            Scale(**data["scale"] | {"tops": tuple(data["scale"]["tops"])}),
-            data["load_varied"], data["pieces"], balances,
-            tuple(Odd(**one) for one in data["odd"]),
-            Policy(**{k: v for k, v in data["policy"].items() if k in known}),
-            _read_stiffness(data.get("stiffness")),
-            tuple(data["areas"]) if data.get("areas") else None)
-    except (OSError, ValueError, KeyError, TypeError, AttributeError) as problem:
-        raise InputError(f"{path}: expected a machine, as `diagnose A B C --machine FILE` writes "
-                         f"it: {problem}") from problem
-
-
-def _read_stiffness(data: dict | None) -> Stiffness:
-    """Return what the file says of the oil; files before it was kept say nothing."""
-    if data is None:
-        return UNKNOWN
-    return Stiffness(*_numbers([data[key] for key in ("value", "between", "stddev")]),
-                     data["count"])
-
-
-def _read_balance(data: dict) -> MachineBalance:
-    made = dict(data)
-    made["parameters"] = tuple(
-        Parameter(**one | {"stddev": _numbers([one["stddev"]])[0]}) for one in data["parameters"])
-    made["settings"] = tuple(
-        Setting(**one | {"value": tuple(one["value"]), "stddev": _numbers(one["stddev"])})
-        for one in data["settings"])
-    made["regimes"] = tuple(Regime(**one) for one in data["regimes"])
-    made["named"] = tuple(Named(**one | {"terms": tuple(one["terms"]), "rivals": tuple(
-        one["rivals"])}) for one in data["named"])
-    made["refused"] = tuple(Refused(**one) for one in data["refused"])
-    for name in ("scatter", "beside"):
-        made[name] = Scatter(**{key: tuple(value) if isinstance(value, list) else value
-                                for key, value in data.get(name, data["scatter"]).items()})
-    made["steps"] = tuple(map(tuple, data["steps"]))
-    for name in ("each", "each_stddev"):
-        made[name] = tuple(map(_numbers, data[name]))
-    made.setdefault("held", data["error"])  # of a file before oils were told apart
-    for name in ("nominal", "error", "learned", "reference", "held", "forms", "levers"):
-        made[name] = _numbers(made.get(name, ()))
-    return MachineBalance(**made)

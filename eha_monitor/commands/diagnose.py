@@ -67,7 +67,7 @@ def diagnose(bags: tuple[Path, ...], config: Path | None, json_file: Path | None
     from eha_monitor.api.diagnose import diagnose as run
     from eha_monitor.api.diagnosis_answer import completed, refusal, written_config
     from eha_monitor.api.read import distinct, finding_tree
-    from eha_monitor.balances.machine import save
+    from eha_monitor.balances.machine_file import save
     from eha_monitor.reports.diagnosis_words import channels_in_parts
     from eha_monitor.settings.hypothesis import load_hypothesis
 

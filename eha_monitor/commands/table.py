@@ -116,10 +116,8 @@ def show_baselines(to: Console, baselines: Sequence[Baseline]) -> None:
     for one in baselines:
         of = f" of {Path(one.source).name}" if len(baselines) > 1 else ""
         for balance, fit in (("force", one.force), ("flow", one.flow)):
-            said = (baseline_sentence(fit) if fit is not None else
-                    f"none: {one.missing[balance]}" if balance in one.missing else "")
-            if said:
-                to.print(escape(f"least squares, {balance}{of}: {said}"))
+            said = baseline_sentence(fit) if fit else f"none: {one.missing[balance]}"
+            to.print(escape(f"least squares, {balance}{of}: {said}"))
 
 
 def _coloured(word: str) -> str:

@@ -11,7 +11,7 @@ from eha_monitor.dashboard import charts, words
 from eha_monitor.dashboard.events import MISMATCH
 from eha_monitor.dashboard.history import Span, thinned
 from eha_monitor.dashboard.state import STAGES, Actuator, State, View, alarms
-from eha_monitor.health.alarms import ALARM_NAMES, WATCHED
+from eha_monitor.health.alarms import ALARM_NAMES, WATCHED, Watched
 from eha_monitor.health.judge import DIAGNOSIS
 from eha_monitor.quantity import NOTE, SYMBOLS, readable
 
@@ -103,7 +103,6 @@ async def ask_for_acknowledgement(state: State, alarm: str) -> None:
     dialog.on("hide", dialog.delete)
 
 
-_SECTIONS = {watched.symbol: watched.section for watched in WATCHED}
 # Where the scale of the drawing shrinks: not at each pause of the motion.
 _SHRINK = 4.0
 # Rows of a line: more than a chart has pixels are not sent.
@@ -256,7 +255,7 @@ class Detail:
         for alarm in alarms(view):
             self._refresh_alarm(view, alarm.name, alarm.word, alarm.message)
         for stage, watched in zip(STAGES, WATCHED, strict=True):
-            self._refresh_estimate(view, watched.symbol, stage)
+            self._refresh_estimate(view, watched, stage)
         found = view.findings.get(MISMATCH)
         self._refresh_alarm(view, MISMATCH, found.word if found else "STALE",
                             found.message if found else "nothing heard yet")
@@ -277,12 +276,13 @@ class Detail:
         given.set_visibility(bool(by))
         answer.set_visibility(name in words.waiting(view))
 
-    def _refresh_estimate(self, view: View, symbol: str, stage: str) -> None:
+    def _refresh_estimate(self, view: View, watched: Watched, stage: str) -> None:
+        symbol = watched.symbol
         figure = self._figures[symbol]
         number = words.shown(view.value[symbol], view.stddev[symbol], self._scales[symbol])
         for part in ("value", "stddev", "unit"):
             figure[part].set_text(getattr(number, part))
-        status, doubted = words.estimate_status(view, _SECTIONS[symbol], stage)
+        status, doubted = words.estimate_status(view, watched.section, stage)
         figure["status"].set_text(status)
         monitor = self.state.settings.monitor
         old = doubted or (

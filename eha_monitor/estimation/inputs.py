@@ -108,7 +108,7 @@ class StageInputs:
         """Collect the inputs of a recording that starts ``since`` s after the record did."""
         rig = settings.rig
         names = [name for name in recording.channels if known or recording.has(name)]
-        noise = known.noise if known else noise_levels(recording, settings.noise)
+        noise = shown = known.noise if known else noise_levels(recording, settings.noise)
         recorded, spikes = without_spikes(
             {name: recording.channels[name] for name in names}, noise,
             known.counted if known else None)
@@ -145,8 +145,7 @@ class StageInputs:
             between(channels["p2"]) if both else charge, mean_pressure(channels, rig), noise,
             position_variance(noise, step), step, no_force, no_drive, spikes, kept,
             known.rest if known and known.rest is not None else
-            resting(recording.channels, known.noise if known else noise_levels(
-                recording, settings.noise), recording.sample_time, step))
+            resting(recording.channels, shown, recording.sample_time, step))
 
     @property
     def rows(self) -> int:

@@ -12,7 +12,7 @@ from eha_monitor.estimation.results import NoiseEstimate
 
 REST_S = 0.25  # s without motion that make a rest
 RESTING = 1.5  # times the noise: the deviation over so long of what does not move
-DRIVE = ("x_d", "omega_d", "omega")  # what moves a piston that could move; else its force does
+DRIVE, FORCE = ("x_d", "omega_d", "omega"), ("force", "p1", "p2")  # what moves a piston
 SMALLEST = 1e-9  # of the largest value: the noise of a demand that holds none
 
 
@@ -26,13 +26,13 @@ def resting(channels: Mapping[str, np.ndarray], noise: Mapping[str, NoiseEstimat
     noise : of the channels; ``step`` of the position, m.
     dt : s between samples.
     """
-    looked = ["x", *(name for name in DRIVE if name in channels)]
-    looked += [name for name in ("force", "p1", "p2") if name in channels and len(looked) == 1]
+    moves = ([name for name in DRIVE if name in channels]
+             or [name for name in FORCE if name in channels])
     count = max(round(REST_S / dt), 4)
     if "x" not in channels or len(channels["x"]) < count:
         return np.zeros(len(channels.get("x", ())), dtype=bool)
     found = np.ones(len(channels["x"]), dtype=bool)
-    for name in looked:
+    for name in ("x", *moves):
         level = noise[name].value if name in noise else 0.0
         if name == "x":
             level = max(level, step / np.sqrt(3.0))

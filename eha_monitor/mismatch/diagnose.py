@@ -151,14 +151,12 @@ def _diagnosed(recordings: list[Recording], settings: Settings, held_out: Record
     found = diagnosed(recordings, experiment, named, held_out, started, say, hypothesis)
     if far and explains_more(first, found):
         return by_first(first, started), None
-    if found.verdict == "unexplained" and not found.learned:
-        if far:
-            return by_first(first, started), None
-        # Innovations of another form than the config's laws are no mismatch of this machine, and
-        # no balance is theirs.
-        if hypothesis is None and first is not None and first.verdict != "mismatch" and (
-                not credible(experiment, {})):
-            return by_first(first, started), None
+    # Innovations of another form than the config's laws are no mismatch of this machine, and no
+    # balance is theirs.
+    unanswered = found.verdict == "unexplained" and not found.learned
+    if unanswered and (far or (hypothesis is None and first is not None and (
+            first.verdict != "mismatch" and not credible(experiment, {})))):
+        return by_first(first, started), None
     decided = decision is not None and decision.decided
     return replace(found, machine=None if first is None else first.machine,
                    policy=experiment.policy.to_dict(),
