@@ -69,6 +69,9 @@ def compared(recordings: list[Recording], references: list[Recording], settings:
         if by_balances([*recordings, *references], settings):
             return _by_balances(recordings, references, settings)
         first, coarse = first_answer(references, settings), None
+        if first is not None and first.verdict == "insufficient_data":
+            raise InputError(f"{references[0].source}: expected references that move: "
+                             f"{first.message}")
         if first is not None:
             with suppress(InputError):  # too little motion for a spread of parts
                 coarse = _by_balances(recordings, references, settings)
