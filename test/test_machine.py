@@ -133,7 +133,7 @@ def test_a_recording_that_does_not_belong(recordings, settings):
 
 def test_the_next_recording_is_judged(machine, settings, tmp_path):
     save(machine, tmp_path / "machine.json")
-    kept = load(tmp_path / "machine.json")
+    kept = load(tmp_path / "machine.json", settings.rig)
     assert kept == machine
     like = stranger(20, rise=0.0, damping=(1500.0, 1500.0), load=400.0, seconds=16.0)
     judged = judge(kept, [course_of(like, settings)], settings)
@@ -173,7 +173,14 @@ def test_bad_machines_are_refused_in_one_line(recordings, settings, tmp_path):
         path = tmp_path / "bad.json"
         path.write_text(text)
         with pytest.raises(InputError, match="expected a machine"):
-            load(path)
+            load(path, settings.rig)
+
+
+def test_a_machine_of_other_areas_is_refused_by_its_file(machine, settings, tmp_path):
+    save(machine, tmp_path / "machine.json")
+    rig = settings.rig.model_copy(update={"area_1": 1.5 * settings.rig.area_1})
+    with pytest.raises(InputError, match=r"machine\.json: a machine with areas of .*, expected"):
+        load(tmp_path / "machine.json", rig)
 
 
 def test_what_repeats_is_learned_and_noise_is_not():

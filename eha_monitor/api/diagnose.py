@@ -122,7 +122,8 @@ def diagnose(recordings: Several, config: Config | str | os.PathLike | dict | No
         vary = (vary,) if isinstance(vary, str) else tuple(vary)
         if unknown := [name for name in vary if name != "load"]:
             raise InputError(f"vary: {unknown[0]}: expected load")
-        known = None if machine is None else load(path_of(machine, "a file with a machine"))
+        known = None if machine is None else load(
+            path_of(machine, "a file with a machine"), config.settings.rig)
         if known is not None and (len(given) != 1 or healthy or unseen or hypothesis is not None):
             raise InputError("machine: expected one recording, and neither references, held_out "
                              "nor hypothesis beside it")

@@ -48,10 +48,9 @@ def against(machine: Machine, recordings: Sequence[Recording], settings: Setting
     Raises
     ------
     InputError
-        If none of them has a force balance, or the machine is of another rig.
+        If none of them has a force balance.
     """
     started, rig = time.perf_counter(), settings.rig
-    machine.refuse_other(rig)
     recordings, courses, left_out = courses_of(recordings, settings)
     if not any(course.moving.any() for course in courses):
         return replace(still(recordings, courses, (), started), references=references)

@@ -22,7 +22,7 @@ from eha_monitor.balances.scatter import Scatter, scatter_of
 from eha_monitor.balances.table import Table, nominal_of, tables_of
 from eha_monitor.balances.together import Chosen, Named, Recordings, pooled
 from eha_monitor.errors import InputError
-from eha_monitor.quantity import quantity, share
+from eha_monitor.quantity import share
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings.monitor import Settings
 from eha_monitor.settings.rig import Rig
@@ -165,24 +165,6 @@ class Machine:
     policy: Policy
     stiffness: Stiffness = UNKNOWN
     areas: tuple[float, float] | None = None
-
-    def refuse_other(self, rig: Rig) -> None:
-        """Refuse a rig with other areas: every force and flow of its balances would be another.
-
-        Raises
-        ------
-        InputError
-        """
-        own = (rig.area_1, rig.area_2)
-        within = self.policy.varied * rig.tolerance.log_spread("area_1")
-        if self.areas is None or not all((*self.areas, *own)):
-            return
-        if any(abs(np.log(here / there)) > within
-               for here, there in zip(own, self.areas, strict=True)):
-            raise InputError(
-                f"the machine of {self.sources[0]}: areas of "
-                f"{' and '.join(quantity(one, 'm²', 3) for one in self.areas)}, expected those of "
-                f"the config, {' and '.join(quantity(one, 'm²', 3) for one in own)}")
 
     def __getitem__(self, balance: str) -> MachineBalance:
         return next(one for one in self.balances if one.balance == balance)

@@ -24,6 +24,8 @@ from eha_monitor.balances.scatter import Scatter
 from eha_monitor.balances.together import Named
 from eha_monitor.errors import InputError
 from eha_monitor.output import write_json
+from eha_monitor.quantity import quantity
+from eha_monitor.settings.rig import Rig
 
 
 def save(machine: Machine, path: Path) -> None:
@@ -31,14 +33,29 @@ def save(machine: Machine, path: Path) -> None:
     write_json(path, machine.to_dict())
 
 
-def load(path: Path) -> Machine:
-    """Read a machine that :func:`save` wrote.
+def load(path: Path, rig: Rig) -> Machine:
+    """Read a machine that :func:`save` wrote, to be compared on a rig.
 
     Raises
     ------
     InputError
-        Naming the file, if it holds none.
+        Naming the file, if it holds none, or one with other areas than the rig's: every force and
+        flow of its balances would be another.
     """
+    machine = _read(path)
+    own, within = (rig.area_1, rig.area_2), machine.policy.varied * rig.tolerance.log_spread(
+        "area_1")
+    if machine.areas and all((*machine.areas, *own)) and any(
+            abs(np.log(here / there)) > within
+            for here, there in zip(own, machine.areas, strict=True)):
+        theirs, mine = (" and ".join(quantity(one, "m²", 3) for one in areas)
+                        for areas in (machine.areas, own))
+        raise InputError(f"{path}: a machine with areas of {theirs}, expected those of the "
+                         f"config, {mine}")
+    return machine
+
+
+def _read(path: Path) -> Machine:
     try:
         data = json.loads(Path(path).read_text(encoding="utf-8"))
         if data.get("schema") != SCHEMA:

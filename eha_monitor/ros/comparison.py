@@ -44,7 +44,7 @@ class Comparison:
 
         self._file, self._settings = Path(settings.diagnosis.machine), settings
         self._keeper, self._tell, self._log_ns = keeper, tell, log_ns
-        known = load(self._file)
+        known = load(self._file, settings.rig)
         if known.rig != settings.rig.name:
             raise InputError(f"{self._file}: the machine of the rig {known.rig}, expected that of "
                              f"{settings.rig.name} (rig.name)")
