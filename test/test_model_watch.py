@@ -18,7 +18,13 @@ from eha_monitor.estimation.model_watch import (
     Trial,
     tainted_by,
 )
-from eha_monitor.estimation.results import Consistency, Mismatch, ParameterEstimate, Taint
+from eha_monitor.estimation.results import (
+    Beside,
+    Consistency,
+    Mismatch,
+    ParameterEstimate,
+    Taint,
+)
 
 
 def verdict(consistent=False, decisive=True, first=3.0):
@@ -126,7 +132,8 @@ def test_what_is_tainted(stages, expected):
 def test_only_what_least_squares_determine_stands_instead():
     known = ParameterEstimate("B", 600.0, 3.0, "N·s/m", "converged")
     vague = ParameterEstimate("beta_e", 6e8, 3e8, "Pa", "not_excited")
-    found = tainted_by([standing("one")], {"B": known, "beta_e": vague})
+    found = tainted_by([standing("one")], {"B": known, "beta_e": vague},
+                       [Beside(5.0, {"B": known, "beta_e": vague})], 5.0)
     assert found["B"].instead is known and found["beta_e"].instead is None
 
 
@@ -134,8 +141,9 @@ def test_only_what_least_squares_determine_stands_instead():
 def test_a_stage_that_fits_is_in_doubt_where_least_squares_contradict_it(value, doubted):
     other = {"B": ParameterEstimate("B", 600.0, 3.0, "N·s/m", "converged")}
     own = {"B": ParameterEstimate("B", value, 1.0, "N·s/m", "converged")}
-    assert ("B" in tainted_by([standing("two")], other, own)) == doubted
-    assert "B" not in tainted_by([], other, own)
+    looks = [Beside(5.0, other)]
+    assert ("B" in tainted_by([standing("two")], own, looks, 5.0)) == doubted
+    assert "B" not in tainted_by([], own, looks, 5.0)
 
 
 def test_a_value_that_jumps_is_on_trial_and_a_slow_drift_is_not():

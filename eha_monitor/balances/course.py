@@ -15,7 +15,7 @@ from scipy.signal import butter, lfilter, sosfiltfilt
 
 from eha_monitor.errors import InputError
 from eha_monitor.estimation.modelled import contributions_along
-from eha_monitor.estimation.rig_model import force_missing, force_of
+from eha_monitor.estimation.rig_model import added_by, force_missing, force_of
 from eha_monitor.estimation.sensors import noise_levels, quantum, without_spikes
 from eha_monitor.physics import signals as s
 from eha_monitor.physics.contributions import circuit_of, new_memory
@@ -283,6 +283,8 @@ def known_of(course: Course, rig: Rig, theta: np.ndarray, active: np.ndarray
     """
     zero = np.zeros(len(course))
     c = np.zeros((len(course), s.N_CONTRIBUTIONS))
+    # As in the stages: a term of the shaft's angle, which no recording has, is left out.
+    active = np.array([on and bool(added_by(which, theta)) for which, on in enumerate(active)])
     if active.any():
         contributions_along(course.track(), course.dt, 2, theta, active, new_memory(), c)
     known = {"force": c[:, s.FORCE] + (rig.mass + c[:, s.MASS]) * course.a, "drive": zero}
