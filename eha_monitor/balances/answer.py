@@ -182,10 +182,12 @@ def _composed(models: Sequence[Model], courses: Sequence[Course], settings: Sett
     stiffness = stiffness_of(courses, rig)
     before, after = (known_of(models, rig, policy, stiffness, nominal)
                      for nominal in (True, False))
+    shown = models
     if verdict == "unexplained":
-        models = [one.plain() for one in models] if open_ else models
+        shown = [one.plain() for one in models]
+        models = shown if open_ else models
         effects, wrong, after = [], (), {}
-    where, curves = place_of(models, courses, effects, wrong, verdict)
+    where, curves = place_of(shown, courses, effects, wrong, verdict)
     if open_:
         message = (f"the {listed([one.balance for one in open_])} balance"
                    f"{'s hold' if len(open_) > 1 else ' holds'} more than the catalogue explains")
