@@ -1,5 +1,6 @@
 """One rule, live and offline: the same alarms, at nearly the same time."""
 
+import math
 from pathlib import Path
 
 import pytest
@@ -9,6 +10,7 @@ from test_live_estimator import Stream, rows_of
 from eha_monitor.api.answer import judged
 from eha_monitor.estimation.pipeline import estimate
 from eha_monitor.health.alarms import AlarmBoard
+from eha_monitor.live.estimator import LiveEstimator
 from eha_monitor.recordings.read import read_recording
 
 BAG = Path(__file__).parents[1] / "bags" / "air_ingress"
@@ -50,3 +52,17 @@ def test_the_same_alarms_come_within_a_second_of_one_another(recording, name):
     live = raised(board.history)
     assert set(live) == set(offline) == {name}
     assert abs(live[name] - offline[name]) < 1.0
+
+
+@pytest.mark.parametrize("first", range(0, 900, 150))
+def test_a_monitor_that_is_seldom_asked_alarms_no_earlier(first):
+    recording = read_recording(BAG, settings())
+    offline = raised(judged(estimate(recording, settings()))[1])
+    live, board = LiveEstimator(settings()), AlarmBoard(settings())
+    for count, (time, row) in enumerate(rows_of(recording)):
+        live.push(time, row)
+        if count % 900 == first:
+            snapshot = live.snapshot()
+            board.update(snapshot.time_s, snapshot.parameters, None, snapshot.model.tainted)
+    name = "bulk_modulus_low"
+    assert offline[name] - 0.5 < raised(board.history).get(name, math.inf)

@@ -30,6 +30,5 @@ def test_a_replay_alarms_when_the_bag_does_and_the_watcher_tells_the_bags_time(g
     if watcher.seen.missing:
         assert "were lost on the way" in watcher.seen.losses
     told = next(line for line in lines if f"WARN  {name}: effective" in line)
-    # What a busy machine lost on the way is missing in the estimate, and moves when it crosses.
-    late = 1.0 if not watcher.seen.missing else 3.0
-    assert float(told.split()[0]) == pytest.approx(offline, abs=late), watcher.seen.losses
+    # A busy machine loses messages and asks late; no alarm comes for that before its time.
+    assert offline - 1.0 < float(told.split()[0]) < offline + 3.0, watcher.seen.losses

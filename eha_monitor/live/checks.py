@@ -339,14 +339,19 @@ class LiveModel:
             fits = False
         return Fit(fits, parameter.value, parameter.stddev, innovation, stddev)
 
-    def status(self, time_s: float, parameters: dict[str, ParameterEstimate]) -> ModelStatus:
-        """Return what is known about the model now, and which estimates are in doubt."""
-        tainted = {}
+    def follow(self, time_s: float, parameters: dict[str, ParameterEstimate]) -> None:
+        """Take the estimates after each batch, however seldom somebody asks for a status.
+
+        A busy monitor once asked twice in two seconds and did not see that a value had moved.
+        """
         for name, trial in self._trials.items():
             known = parameters[name].status == "converged"
-            taint = trial.update(time_s, parameters[name].value if known else None)
-            if taint is not None:
-                tainted[name] = taint
+            trial.update(time_s, parameters[name].value if known else None)
+
+    def status(self, time_s: float, parameters: dict[str, ParameterEstimate]) -> ModelStatus:
+        """Return what is known about the model now, and which estimates are in doubt."""
+        tainted = {name: trial.taint for name, trial in self._trials.items()
+                   if trial.taint is not None}
         standing = tuple(watch.standing for watch in self.watches.values() if watch.standing)
         if not standing:
             fitting = [v for v in self.verdicts.values() if v is None or v.consistent]

@@ -354,6 +354,7 @@ class LiveEstimator:
         if (state.taken - state.tester.judged_at) * self.dt >= JUDGE_EVERY_S:
             self._judge()
         estimates = self._parameters()
+        state.tester.follow(self._now, estimates)
         for stage in STAGES.values():
             estimate = estimates[stage.parameter]
             if estimate.status == "converged" and stage.parameter not in state.announced:
