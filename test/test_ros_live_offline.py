@@ -2,7 +2,6 @@
 
 from pathlib import Path
 
-import pytest
 from rig_tools import settings
 from ros_tools import PATIENCE, command, end
 from test_live_offline import BAG, raised
