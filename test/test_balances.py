@@ -15,6 +15,8 @@ from eha_monitor.balances.machine import healthy_machine
 from eha_monitor.balances.policy import POLICY
 from eha_monitor.balances.scatter import amplitudes_of
 from eha_monitor.balances.table import pooled_table, tables_of
+from eha_monitor.mismatch.diagnose import diagnose
+from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings import settings_from_tree
 from eha_monitor.settings.hypothesis import hypothesis_of
 
@@ -185,3 +187,28 @@ def test_a_reference_of_another_machine_is_left_out(settings):
     assert len(mixed.sources) == 4 and [one.place for one in mixed.odd] == [4]
     worn = against(mixed, [stranger(7, dry=270.0)], settings, ("healthy",) * 5)
     assert worn.changes[0].what == "coulomb_friction"
+
+
+def test_a_heavy_boom_is_a_load_although_what_varies_has_no_name():
+    """A crane's jib: one slow stroke under a load that another boom moves; no pump, no volumes.
+
+    The filter has no likelihood there, which must not end the diagnosis.
+    """
+    config = settings_from_tree({"rig": {
+        "area_1": "176.7 cm^2", "area_2": "98.2 cm^2", "volume_1": None, "volume_2": None,
+        "pump_displacement": None, "position_gain": None, "mass": 20.0, "sample_time": 0.01}},
+        "a test")
+    rng, t = np.random.default_rng(4), np.arange(0.0, 50.0, 0.01)
+    stroke = np.clip((t - 4.0) / 40.0, 0.0, 1.0)
+    x = 0.25 + 0.1 * (1.0 - np.cos(2.0 * np.pi * stroke))
+    force = 36_000.0 + 2_000.0 * np.sin(0.21 * t) * np.cos(0.013 * t**1.5)
+    p2 = 40e5 + 20e5 * stroke
+    p1 = (force + 98.2e-4 * p2) / 176.7e-4
+    noise = {"x": 2e-6, "x_d": 0.0, "p1": 2e3, "p2": 2e3}
+    boom = Recording(0.01, {name: values + noise[name] * rng.standard_normal(len(t))
+                            for name, values in (("x", x), ("x_d", x), ("p1", p1), ("p2", p2))})
+    found = diagnose([boom], config)
+    (load,) = found.effects
+    assert load.name == "constant_load"
+    assert load.parameters["F_0"].value == pytest.approx(36_000.0, rel=0.05)
+    assert "has no name" in found.message

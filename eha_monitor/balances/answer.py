@@ -165,6 +165,8 @@ def _composed(models: Sequence[Model], courses: Sequence[Course], settings: Sett
     charge : what the mean pressure says.
     """
     rig = settings.rig
+    varying = [one.balance for one in models if only_load(one, policy)]
+    models = [one.load_alone() if one.balance in varying else one for one in models]
     wrong = tuple(finding for one in models for finding in wrong_numbers(one, rig, policy))
     effects = [effect for one in models for effect in effects_of(one, rig, policy,
                                                                 settings.effects)]
@@ -173,15 +175,16 @@ def _composed(models: Sequence[Model], courses: Sequence[Course], settings: Sett
     elif charge is not None and charge.name not in {effect.name for effect in effects}:
         effects.append(charge)
     effects.sort(key=lambda effect: -effect.log_evidence)
-    open_ = [one for one in models if is_open(one, policy)]
+    open_ = [one for one in models if is_open(one, policy) and one.balance not in varying]
     blamed = {one.balance for one in effects} | {SIDE_OF[one.key] for one in wrong}
     unsure = [one for one in models
               if one.balance not in blamed and not agrees(one, policy)]
     verdict = ("mismatch" if blamed and not open_ else
                "unexplained" if open_ or unsure else "consistent")
     stiffness = stiffness_of(courses, rig)
-    before, after = (known_of(models, rig, policy, stiffness, nominal)
-                     for nominal in (True, False))
+    before, after = (known_of(
+        [one for one in models if nominal or one.balance not in varying], rig, policy, stiffness,
+        nominal) for nominal in (True, False))
     shown = models
     if verdict == "unexplained":
         shown = [one.plain() for one in models]
@@ -192,8 +195,9 @@ def _composed(models: Sequence[Model], courses: Sequence[Course], settings: Sett
         message = (f"the {listed([one.balance for one in open_])} balance"
                    f"{'s hold' if len(open_) > 1 else ' holds'} more than the catalogue explains")
     else:
-        message = "; ".join([*(one.statement for one in (*wrong, *effects)),
-                             *map(_unsure_words, unsure)]) or (
+        message = "; ".join([*(one.statement for one in (*wrong, *effects)), *(
+            f"of what varies in the {one.balance}, {share(one.error, 2)} has no name"
+            for one in models if one.balance in varying), *map(_unsure_words, unsure)]) or (
             "the config's own model explains the balances of this recording")
     return Diagnosis(
         (), verdict, message, where, tuple(effects), before, after, "held_out",
@@ -221,6 +225,15 @@ def _unsure_words(one: Model) -> str:
 def is_open(model: Model, policy: Policy) -> bool:
     """Tell whether a balance leaves more than an answer may, and more than the sensors make."""
     return model.error > max(policy.open, policy.clean * model.floor / model.size)
+
+
+def only_load(model: Model, policy: Policy) -> bool:
+    """Tell whether a constant load is sure while what varies beside it stays open.
+
+    It is most of what the config leaves: a boom that stands on its cylinder, for example.
+    """
+    return (is_open(model, policy) and model.load is not None
+            and model.error <= policy.open * model.nominal_error)
 
 
 def halves(found: Diagnosis) -> bool:

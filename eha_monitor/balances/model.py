@@ -27,6 +27,8 @@ from eha_monitor.balances.table import Table, nominal_of, pooled_table, tables_o
 from eha_monitor.balances.together import Named, Recordings, setting_of
 from eha_monitor.settings.rig import Rig
 
+LOAD = "constant_load"
+
 
 @dataclass(frozen=True)
 class Term:
@@ -114,6 +116,16 @@ class Model:
     def __getitem__(self, name: str) -> Term | None:
         return next((term for term in self.terms if term.candidate.name == name), None)
 
+    @property
+    def load(self) -> Term | None:
+        """The constant load, if it is an answer."""
+        return next((term for term in self.named if term.candidate.effect == LOAD), None)
+
+    def load_alone(self) -> "Model":
+        """Return the model with its constant load as its only answer; the rest is its form."""
+        return replace(self, terms=tuple(replace(
+            term, named=term.named and term.candidate.effect == LOAD) for term in self.terms))
+
     def plain(self) -> "Model":
         """Return the model without an answer: the config's own."""
         return replace(self, terms=tuple(replace(term, named=False) for term in self.terms),
@@ -154,7 +166,7 @@ def _terms_alone(whole: Table, found: Alone, count: int, policy: Policy) -> tupl
     """Return the terms of a pooled table; a setting's numbers as one term."""
     of = {one.name: one for one in whole.candidates}
     terms, loads = [], [name for name in found.names if of[name.term].always
-                        and of[name.term].effect == "constant_load"]
+                        and of[name.term].effect == LOAD]
     for name in found.names:
         if name not in loads:
             terms.append(Term(of[name.term], name.value, name.stddev, 0.0, (), name.probability,
@@ -173,7 +185,7 @@ def _terms_alone(whole: Table, found: Alone, count: int, policy: Policy) -> tupl
             replace(one, name="F_0"), float(np.mean(values)), stddev, 0.0,
             tuple(values) if count > 1 and len(loads) > 1 else (), policy.certain, 1.0,
             whole.effective * float(np.log(both[1] / both[0])), named,
-            _instead(whole, rest, both[0], "constant_load", policy) if named else ()))
+            _instead(whole, rest, both[0], LOAD, policy) if named else ()))
     return tuple(terms)
 
 

@@ -138,6 +138,10 @@ def _diagnosed(recordings: list[Recording], settings: Settings, held_out: Record
         named = named_in(experiment, say, first, stands)
     except Unfollowed:
         return by_first(first, started), None
+    except np.linalg.LinAlgError:  # no filter runs, however large its unknowns
+        if first is None or hypothesis is not None:
+            raise
+        return by_first(first, started), None
     if decision is not None and named is not None and (
             named[1].unexplained > experiment.policy.rival):
         # What is missing may have been taken for a hold, or the other way about.
