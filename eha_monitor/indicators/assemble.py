@@ -414,7 +414,7 @@ def _made(name: str, function: Callable[[Values], float], values: Values, covari
     if value <= CLEAR * stddev:
         below = max(value, 0.0) + SIDE * stddev
         return Indicator(name, value, stddev, noise, unit, indicator.UNKNOWN,
-                         f"too uncertain: below {number(below, 2)} {unit} {message}", LAWS[name],
+                         f"too uncertain: below {quantity(below, unit, 2)} {message}", LAWS[name],
                          below=below)
     return Indicator(name, value, stddev, noise, unit, indicator.AVAILABLE, message, LAWS[name])
 

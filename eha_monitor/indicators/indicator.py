@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from eha_monitor.quantity import rounded
+from eha_monitor.quantity import with_uncertainty
 from eha_monitor.settings.monitor import Settings
 
 NAMES = ("leakage", "free_air", "damping", "friction", "friction_share", "pump_efficiency",
@@ -65,7 +65,7 @@ class Indicator:
         """The value as people read it, a dash where it is not reported."""
         if self.status != AVAILABLE:
             return "—"
-        return f"{' ± '.join(rounded(self.value, self.stddev))} {self.unit}"
+        return with_uncertainty(self.value, self.stddev, self.unit)
 
     def tree(self) -> dict:
         """Return what stands in a JSON answer; value and stddev only where they are known."""
