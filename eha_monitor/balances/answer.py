@@ -137,6 +137,16 @@ def far_from_config(found: Diagnosis | None, policy: Policy = POLICY) -> bool:
         for fit in found.signals.values())
 
 
+def force_is_closed(found: Diagnosis, policy: Policy = POLICY) -> bool:
+    """Tell whether what is named leaves no more of the force than the sensors make.
+
+    Friction, whose law nobody knows, is then none, or as it is written: a filter can judge what
+    is smaller, and its search is made to the end.
+    """
+    force = found.signals.get("force")
+    return force is not None and force.after_rms <= policy.clean * force.noise_rms
+
+
 def leaves_more(before: float, after: float, policy: Policy) -> bool:
     """Tell whether a model leaves ``near`` of a balance open, and another less than half of it."""
     return before > max(policy.near, 2.0 * after)

@@ -13,6 +13,7 @@ from eha_monitor.balances.answer import (
     answered,
     far_from_config,
     first_answer,
+    force_is_closed,
     halves,
 )
 from eha_monitor.balances.baseline import baseline
@@ -41,7 +42,7 @@ from eha_monitor.mismatch.locate import location as locate
 from eha_monitor.mismatch.locate.terms import BALANCES, missing_terms
 from eha_monitor.mismatch.name.before import FirstView, at_its_angle, informative
 from eha_monitor.mismatch.name.naming import Naming, beyond_form, name_effects, on_all_of
-from eha_monitor.mismatch.name.select import Unfollowed, credible, nominal
+from eha_monitor.mismatch.name.select import Unfollowed, credible, lacks, nominal_model
 from eha_monitor.mismatch.name.unnamed import INTERMITTENT
 from eha_monitor.mismatch.show import held_out as show
 from eha_monitor.mismatch.show.changed import change_words, changed_between
@@ -132,28 +133,25 @@ def _diagnosed(recordings: list[Recording], settings: Settings, held_out: Record
     if far and (first.machine is not None or not credible(experiment, first.config_effects)):
         return by_first(first, started), None
     # What least squares say stands where no set of laws brings a filter near the recording.
-    stands = hypothesis is None and first is not None and (
+    stands = hypothesis is None and first is not None and not force_is_closed(first) and (
         first.verdict != "unexplained" or halves(first))
-    try:
-        named = named_in(experiment, say, first, stands)
-    except Unfollowed:
-        return by_first(first, started), None
-    except np.linalg.LinAlgError:  # no filter runs, however large its unknowns
-        if first is None or hypothesis is not None:
-            raise
-        return by_first(first, started), None
-    if decision is not None and named is not None and (
-            named[1].unexplained > experiment.policy.rival):
+    named, followed = followed_by(experiment, say, first, stands)
+    if decision is not None and (not followed or (
+            named is not None and named[1].unexplained > experiment.policy.rival)):
         # What is missing may have been taken for a hold, or the other way about.
         other = at_its_angle(experiment_of(recordings, other_hold(held), held_out is None,
                                            without))
-        gained = gained_under(other, named[1])
+        gained = gained_under(other, named[1].after if followed else nominal_of(experiment))
         if gained > 0.0:
-            experiment, held, named = other, other.settings, named_in(
-                other, say, first)
+            experiment, held = other, other.settings
+            named, followed = followed_by(other, say, first, stands and not followed)
             decision = replace(decision, hold=held.command_hold, evidence=gained, decided=True)
+    if not followed:
+        if first is None or hypothesis is not None:
+            raise np.linalg.LinAlgError("no filter runs on the nominal model")
+        return by_first(first, started), None
     found = diagnosed(recordings, experiment, named, held_out, started, say, hypothesis)
-    if far and explains_more(first, found):
+    if far and not (named and follows(named[1])) and explains_more(first, found):
         return by_first(first, started), None
     # Innovations of another form than the config's laws are no mismatch of this machine, and no
     # balance is theirs.
@@ -185,6 +183,23 @@ def explains_more(first: Diagnosis, found: Diagnosis, policy: Policy = POLICY) -
         there.after_rms - here.after_rms > policy.worse * here.signal_rms)
 
 
+def followed_by(experiment: Experiment, say: Report, first: Diagnosis | None, may_end: bool
+                ) -> tuple[tuple[Experiment, Naming] | None, bool]:
+    """Return :func:`named_in`, and whether a filter follows the recording at all."""
+    try:
+        return named_in(experiment, say, first, may_end), True
+    except (Unfollowed, np.linalg.LinAlgError):  # no law is near, or no filter runs
+        return None, False
+
+
+def follows(naming: Naming) -> bool:
+    """Tell whether the model that was found follows the recording to the sensors' noise.
+
+    It needs no unknown force, flow or speed that shows, and no least squares can explain more.
+    """
+    return not lacks(naming.experiment, naming.after)
+
+
 def named_in(experiment: Experiment, say: Report, first: Diagnosis | None = None,
              may_end: bool = False) -> tuple[Experiment, Naming] | None:
     """Name what the most informative windows show; None where the piston hardly moves.
@@ -211,19 +226,29 @@ def view_of(first: Diagnosis | None) -> FirstView | None:
     return FirstView(effects, None if damping is None else damping.value)
 
 
-def gained_under(other: Experiment, naming: Naming) -> float:
-    """Return by how much a nominal model fits better than all that was named, log units.
+def nominal_of(experiment: Experiment) -> Fit | None:
+    """Return the nominal model with the rig's numbers free, fitted; None where none runs."""
+    try:
+        return nominal_model(informative(experiment), within=True)
+    except np.linalg.LinAlgError:
+        return None
+
+
+def gained_under(other: Experiment, found: Fit | None) -> float:
+    """Return by how much a nominal model fits better than what was found, log units.
 
     Parameters
     ----------
-    other : the same samples and outputs as those of the naming, under another hold of the drive's
-        command.
+    other : the same samples and outputs, under another hold of the drive's command.
+    found : None where no filter runs.
     """
     def each(fit: Fit) -> float:
         return fit.log_likelihood / np.isfinite(fit.e).sum()
 
-    bare = nominal(informative(other))[1]
-    return float((each(bare) - each(naming.after)) * np.isfinite(bare.e).sum())
+    bare = nominal_of(other)
+    if bare is None or found is None:
+        return 0.0 if bare is None else np.inf
+    return float((each(bare) - each(found)) * np.isfinite(bare.e).sum())
 
 
 def diagnosed(recordings: list[Recording], experiment: Experiment,
