@@ -305,8 +305,10 @@ def explored(search: Search, say: Callable[[str, float], None]) -> Search:
             held(experiment, view, refits)
             if evidence_at_start(refits, here) > done[here] + STRAYED:
                 continue
-        # A model of which a part has vanished is not in its own ranking: nothing compares to it.
-        for _ in range((LOOKS if search.widely else 1) if view.own is not None else 0):
+        if view.own is None:  # a part of it has vanished: nothing in the ranking compares to it
+            without(experiment, refits, here)
+            continue
+        for _ in range(LOOKS if search.widely else 1):
             chosen = chosen_at(view, refits) or rivals_at(view, refits)
             if not chosen:
                 break
@@ -508,9 +510,16 @@ def without_each(experiment: Experiment, refits: Refits) -> None:
     """
     while refits.parted.get(best := refits.best()) is not (fit := refits.fits[best]):
         refits.parted[best] = fit
-        for name in sorted(best) if len(best) > 1 else ():
-            refits.add(experiment, best - {name}, settled(
-                experiment, lesser(experiment, fit, name), worth=fit.log_likelihood - CLOSE))
+        if len(best) > 1:
+            without(experiment, refits, best)
+
+
+def without(experiment: Experiment, refits: Refits, names: Names) -> None:
+    """Fit a set without each of its members from where it stands."""
+    fit = refits.fits.get(names)
+    for name in sorted(names) if fit is not None else ():
+        refits.add(experiment, names - {name}, settled(
+            experiment, lesser(experiment, fit, name), worth=fit.log_likelihood - CLOSE))
 
 
 def gated(experiment: Experiment, refits: Refits) -> None:
