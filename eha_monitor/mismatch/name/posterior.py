@@ -49,7 +49,7 @@ class Refits:
         value = evidence_of(experiment, fit) if np.isfinite(fit.log_likelihood) else -np.inf
         if not np.isfinite(value):
             return
-        if names and impossible(fit):
+        if names and impossible(fit, self.policy.sure):
             if value > self.stations.get(names, (None, -np.inf))[1] + ties.SAME_FIT:
                 self.stations[names] = fit, value
         elif anyway or value > self.evidence.get(names, -np.inf) + ties.SAME_FIT:

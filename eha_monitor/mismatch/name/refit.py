@@ -281,6 +281,13 @@ def discrepancy(experiment: Experiment, fit: Fit) -> float:
     return float(0.5 * len(fit.e) * (found[0] - found[1]))
 
 
-def impossible(fit: Fit) -> bool:
-    """Tell whether a fit stands on something that cannot be: B or a stiffness at its bound."""
-    return any(not f.owner and f.at_bound(fit.theta[f.place]) for f in fit.free)
+def impossible(fit: Fit, sure: float) -> bool:
+    """Tell whether a fit stands on something that cannot be: B or a stiffness at its bound.
+
+    It does where the recording says so: one that hardly shows B stands there by chance, with the
+    config's own value within ``sure`` standard deviations.
+    """
+    deviations = np.sqrt(np.maximum(np.diag(fit.covariance), 0.0))
+    return any(not f.owner and f.at_bound(value := fit.theta[f.place])
+               and not abs(f.inward(value) - f.prior) <= sure * deviation
+               for f, deviation in zip(fit.free, deviations, strict=True))
