@@ -211,8 +211,7 @@ def test_a_hold_that_the_bare_model_contradicts_is_taken_back():
     recording, settings = recorded(case_of("drive_saturation"))
     flowing, held = (experiment_of([recording], with_hold(settings, hold))
                      for hold in ("continuous", "sampled"))
-    under_hold, under_none = (Naming(made, fit, fit) for made, fit in map(
-        nominal, (held, flowing)))
+    under_hold, under_none = (nominal(made)[1] for made in (held, flowing))
     assert gained_under(flowing, under_hold) > 100.0
     assert gained_under(held, under_none) < -100.0
     assert other_hold(held.settings).command_hold == flowing.settings.command_hold

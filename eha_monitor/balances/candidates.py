@@ -20,6 +20,7 @@ from eha_monitor.balances.course import (
     Course,
     direction_of,
     has_flow,
+    of_both,
     pumped_side,
     slope,
 )
@@ -294,10 +295,10 @@ def valves(course: Course, rig: Rig) -> bool:
 def pressure_rate(course: Course, rig: Rig) -> np.ndarray:
     """Return the rate of the filled chamber's pressure, as of chamber 1; (m,) Pa/s.
 
-    With equal areas the mean of both, which sees half of the sensors' noise.
+    The mean of both where both count (:func:`course.of_both`).
     """
     share = rig.area_2 / rig.area_1
-    if share == 1.0:
+    if of_both(course, rig):
         return 0.5 * (course.rate_1 - course.rate_2)
     side = pumped_side(course, rig)
     return np.where(side > 0.0, course.rate_1, np.where(
@@ -334,7 +335,7 @@ def _air(course: Course, rig: Rig) -> np.ndarray | None:
 
 def _over_stroke(course: Course, rig: Rig) -> np.ndarray:
     """Return the rate that a volume over the stroke takes up: V_1 + A_v x, V_2 - A_v x."""
-    if rig.area_1 == rig.area_2:
+    if of_both(course, rig):
         return -0.5 * (course.rate_1 + course.rate_2) * course.x
     return -pumped_side(course, rig) * pressure_rate(course, rig) * course.x
 

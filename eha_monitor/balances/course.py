@@ -290,7 +290,7 @@ def known_of(course: Course, rig: Rig, theta: np.ndarray, active: np.ndarray
     known = {"force": c[:, s.FORCE] + (rig.mass + c[:, s.MASS]) * course.a, "drive": zero}
     if not has_flow(course, rig):
         return known
-    ratio, side = rig.area_2 / rig.area_1, pumped_side(course, rig)
+    ratio = rig.area_2 / rig.area_1
     pump = (rig.pump_displacement or 0.0) * c[:, s.SPEED]
     crossing = 0.5 * (rig.leakage - rig.makeup_conductance) * (course.p1 - course.p2)
     left, stroke = [], []
@@ -303,13 +303,29 @@ def known_of(course: Course, rig: Rig, theta: np.ndarray, active: np.ndarray
         makeup = rig.makeup_conductance * (p - rig.charge_pressure)
         left.append(sign / share * (c[:, into] - sign * crossing - makeup - soft * rate))
         stroke.append(sign / share * c[:, volume] * rate)
-    return known | {"flow": pump + of_filled(*left, side, ratio),
-                    "stroke": of_filled(*stroke, side, ratio)}
+    return known | {"flow": pump + of_filled(*left, course, rig),
+                    "stroke": of_filled(*stroke, course, rig)}
 
 
-def of_filled(one: np.ndarray, two: np.ndarray, side: np.ndarray, ratio: float) -> np.ndarray:
-    """Return what holds for the chamber that the pump fills; with equal areas the mean of both."""
-    return 0.5 * (one + two) if ratio == 1.0 else np.where(side > 0.0, one, two)
+def of_both(course: Course, rig: Rig) -> bool:
+    """Tell whether the flow balance is the mean of both chambers', which halves the noise.
+
+    Not with unequal areas, and not where check valves hold the lower pressure at the source's:
+    only the filled chamber's oil is compressed there.  Of two closed chambers the lower pressure
+    falls by what the higher one rises, of such it stays: it is told by which is nearer.
+    """
+    if rig.area_1 != rig.area_2:
+        return False
+    pressures = np.sort(np.stack([course.p1, course.p2])[:, course.good], axis=0)
+    (_, shared), (_, high) = np.cov(pressures)
+    return bool(-shared >= 0.5 * high)
+
+
+def of_filled(one: np.ndarray, two: np.ndarray, course: Course, rig: Rig) -> np.ndarray:
+    """Return what holds for the chamber that the pump fills, or the mean of both chambers."""
+    if of_both(course, rig):
+        return 0.5 * (one + two)
+    return np.where(pumped_side(course, rig) > 0.0, one, two)
 
 
 def has_flow(course: Course, rig: Rig) -> bool:

@@ -3,7 +3,7 @@
 import numpy as np
 
 from eha_monitor.balances.candidates import Candidate
-from eha_monitor.balances.course import Course, has_flow, pumped_side
+from eha_monitor.balances.course import Course, has_flow, of_filled
 from eha_monitor.estimation.modelled import contributions_along
 from eha_monitor.mismatch.diagnosis import Considered
 from eha_monitor.physics import signals as s
@@ -71,7 +71,4 @@ def _column(hypothesis: Hypothesis, values: dict[str, float], key: str, course: 
         return None
     if hypothesis.adds == "speed":
         return (rig.pump_displacement or 1.0) * c[:, s.SPEED]
-    share = rig.area_2 / rig.area_1
-    one, two = c[:, s.FLOW_1], -c[:, s.FLOW_2] / share
-    return 0.5 * (one + two) if share == 1.0 else np.where(
-        pumped_side(course, rig) > 0.0, one, two)
+    return of_filled(c[:, s.FLOW_1], -c[:, s.FLOW_2] * rig.area_1 / rig.area_2, course, rig)
