@@ -180,6 +180,15 @@ def rounded(value: float, stddev: float) -> tuple[str, str]:
     return _fixed(value, decimals), _fixed(stddev, decimals)
 
 
+def to_digits(value: float, stddev: float) -> float:
+    """Return a value with the digits that can be stood behind, as a number.
+
+    >>> to_digits(-1119.3, 330.0)
+    -1120.0
+    """
+    return float(rounded(value, stddev)[0].replace("\N{MINUS SIGN}", "-"))
+
+
 def with_uncertainty(value: float, stddev: float, unit: str, scale: Scale | None = None) -> str:
     """Return ``value ± stddev unit``, SI in, in a readable unit or in that of ``scale``.
 

@@ -10,6 +10,7 @@ from eha_monitor.balances.alone import covariance_by_chance, form_and_doubts
 from eha_monitor.balances.candidates import balances_in, candidates_of
 from eha_monitor.balances.course import Course
 from eha_monitor.balances.machine import Machine, MachineBalance, Setting, oil_of, usual_of
+from eha_monitor.balances.model import LOAD
 from eha_monitor.balances.named import FORCE_OF_SENSORS
 from eha_monitor.balances.policy import POLICY, Policy
 from eha_monitor.balances.scatter import Amplitudes, Scatter, amplitudes_of, limit_of, ridge_of
@@ -18,7 +19,7 @@ from eha_monitor.balances.together import minimum_norms, setting_of, unseen
 from eha_monitor.settings.monitor import Settings
 
 MOST_CHANGES = 3  # that are looked for in one balance
-WEARS = "F_c"
+WEARS, WEAR = "F_c", "dry"
 OF_PLACE = ("spring_load", "position_load")  # they hold a load of their own
 ERROR = 1.5  # times the largest of the machine's own recordings: the balance does not belong
 
@@ -119,10 +120,10 @@ class Judged:
 
     @property
     def explained(self) -> bool:
-        """Whether what has changed has names: nothing else has, or they remove half of it."""
+        """Whether what has changed has names: nothing else has, little, or less than they do."""
         return bool(self.changed) and all(
-            one.complete or one.error**2 - one.after**2 > 0.5 * (one.error**2 - one.usual**2)
-            for one in self.balances)
+            one.complete or one.after - one.usual <= POLICY.worse
+            or explains(one.error, one.after, one.usual) for one in self.balances)
 
 
 def judge(machine: Machine, courses: Sequence[Course], settings: Settings) -> Judged:
@@ -132,7 +133,7 @@ def judge(machine: Machine, courses: Sequence[Course], settings: Settings) -> Ju
     for one in machine.balances:
         if one.balance not in there:
             continue
-        common = {s.name: s for s in one.settings if not s.varies}
+        loading = next((s for s in one.settings if s.effect == LOAD), None)
         candidates = tuple(c for c in candidates_of(one.balance, machine.scale, rig)
                            if c.name in {*one.terms, *one.scatter.names})
         tables = tables_of(courses, rig, one.balance, candidates, machine.policy)
@@ -148,8 +149,7 @@ def judge(machine: Machine, courses: Sequence[Course], settings: Settings) -> Ju
         own |= {name: (float(v), float(d)) for name, v, d in zip(free, value, stddev,
                                                                  strict=True)}
         signed = {c.name for c in candidates if c.sign and c.effect not in settings.effects}
-        found.append(replace(_judged(machine, one, table, held, free, common.get("F_0"), signed,
-                                     loose),
+        found.append(replace(_judged(machine, one, table, held, free, loading, signed, loose),
                              each=tuple(tables)))
         fitted = list(dict.fromkeys([
             *(name for name in found[-1].now if name in table.places), *free]))
@@ -168,7 +168,7 @@ def _judged(machine: Machine, one: MachineBalance, table: Table, held: dict[str,
 
     Parameters
     ----------
-    load : in which all of the machine's recordings agree; compared last, beside all else.
+    load : of the machine's recordings; compared last, beside all else.
     signed : terms of which the config holds nothing, so that their sign is that of physics.
     loose : spread of what a setting has beside its load.
     """
@@ -212,15 +212,11 @@ def _judged(machine: Machine, one: MachineBalance, table: Table, held: dict[str,
             now.get(name, 0.0) + step) < 0.0) for name, step in zip(
                 left.names, amount, strict=True)]] = -np.inf
         before = error(with_oil(table, now, free, oil, policy))
-        # That something has changed, a term shows that goes farther than healthy recordings do
-        # and matters; which it is, what explains the recording.
+        # That something has changed, a term shows that goes farther than healthy recordings do;
+        # which it is, what explains the recording; and whether it matters, what is named.
         shows = ties.largest(np.where(far > 1.0, gone, -np.inf))
         if not (far[shows] > 1.0 and gone[shows] > 0.0):
             complete = True  # what is far is no physics: the balance's error says whether it is
-            break
-        if not (before - with_step(now, left.names[shows], amount[shows])[0] > policy.worse
-                or is_loud(before, max(one.held), one.size, table)):
-            complete = True  # too little to repair a machine for
             break
         removed = np.where(far * np.array(scatter.limit) > policy.varied, gone, -np.inf)
         most = float(removed.max())
@@ -235,8 +231,13 @@ def _judged(machine: Machine, one: MachineBalance, table: Table, held: dict[str,
                                order[left.names[i]]))
         if not of[left.names[i]].of_oil:
             i = next((j for j in equal if left.names[j] == WEARS), i)
-        name = left.names[i]
-        after, more = with_step(now, name, amount[i])
+        name, step, usual = left.names[i], float(amount[i]), max(one.held)
+        (after, more), own = with_step(now, name, step), abs(own_part(name, table, held))
+        if not abs(step) > policy.worse * own or not (
+                before - after > policy.worse or abs(step) > policy.near * own > 0.0
+                or (is_loud(before, usual, one.size, table) and explains(before, after, usual))):
+            complete = True  # too little to repair a machine for
+            break
         equal.remove(i)
         rivals = tuple(dict.fromkeys([*of[name].twins, *(
             other for j in equal if (other := of[left.names[j]].effect) != of[name].effect)]))
@@ -277,6 +278,11 @@ def _farther(scatter: Scatter, left: Amplitudes, beside: Scatter, loose: Amplitu
     return np.where(farther > far, other, t), np.maximum(far, farther)
 
 
+def explains(before: float, after: float, usual: float) -> bool:
+    """Tell whether a change explains half of the squared error beyond the usual one."""
+    return before**2 - after**2 > 0.5 * (before**2 - usual**2)
+
+
 def is_loud(error: float, usual: float, size: float, table: Table) -> bool:
     """Tell whether a balance leaves more than any of the machine's own recordings.
 
@@ -308,11 +314,24 @@ def columns_of(name: str, table: Table) -> list[str]:
     return [own for own in table.places if own == name or own.rpartition(" ")[0] == name]
 
 
+def own_part(name: str, table: Table, held: dict[str, float]) -> float:
+    """Return what the machine has of a term's family, by that term, SI.
+
+    Its dry friction may have another shape, its oil be written as air: what they make, projected
+    on the term's column over the motion.
+    """
+    of = {c.name: c for c in table.candidates}
+    family = [other for other in held if of[other].kind == of[name].kind]
+    place = table.places[name]
+    return sum(held[other] * table.gram[place, table.places[other]] for other in family) / max(
+        float(table.gram[place, place]), 1e-300)
+
+
 def _load(machine: Machine, table: Table, now: dict[str, float], free: list[str],
           load: Setting | None) -> Moved | None:
-    """Return the constant load where it differs from the one of all of the machine's recordings.
+    """Return the constant load where it differs from those of the machine's recordings.
 
-    Or the zero of a pressure sensor does.
+    By more than they differ among themselves; or the zero of a pressure sensor does.
     """
     own = [] if load is None else [name for name in columns_of(load.name, table) if name in free]
     if not own:
@@ -342,7 +361,8 @@ def _moved(scatter: Scatter, table: Table, held: dict[str, float], found: Amplit
     """Return a term of a recording beside the machine's."""
     name = found.names[i]
     c = table.candidates[table.places[name] - 1]
-    base = held.get(name, 0.0)
+    dry = c.family == WEAR and not c.upon  # of any shape it is a force
+    base = own_part(name, table, held) if dry else held.get(name, 0.0)
     stddev = float(np.hypot(found.stddev[i], scatter.spread[i]))
     return Moved(name, c.effect, c.balance, c.words, c.unit, base + float(found.value[i]), stddev,
                  base + scatter.mean[i], scatter.spread[i], float(t), limit, removed, rivals,

@@ -11,7 +11,7 @@ from eha_monitor.balances.model import Model, Term
 from eha_monitor.balances.policy import Policy
 from eha_monitor.mismatch.diagnosis import NamedEffect, RigFinding, Value
 from eha_monitor.physics.effects import CATALOGUE
-from eha_monitor.quantity import quantity, rounded, share, side_by_side, with_uncertainty
+from eha_monitor.quantity import quantity, share, side_by_side, to_digits, with_uncertainty
 from eha_monitor.settings.monitor import Settings
 from eha_monitor.settings.rig import Rig
 
@@ -98,7 +98,7 @@ def _effect(name: str, terms: Sequence[Term], model: Model, rig: Rig, held: Mapp
     numbers = numbers_of(name, terms, values)
     whole = entry is not None and not any(term.each for term in terms) and all(
         p.name in values for p in entry.sizes if np.isfinite(p.neutral))
-    sure = {symbol: float(rounded(value.value, value.stddev)[0])
+    sure = {symbol: to_digits(value.value, value.stddev)
             for symbol, value in values.items() if 0.0 < value.stddev < np.inf}
     said = entry.said(numbers | sure) if whole else ""
     if not said:
