@@ -381,8 +381,9 @@ def flow_candidates(scale: Scale, rig: Rig) -> tuple[Candidate, ...]:
         one("omega_0", "pump_dead_zone", "rad/s", "speed lost to a dead zone of the pump", 1,
             lambda c, r: None if not pump else -pump * np.tanh(c.omega / DEAD_SPEED),
             symbol="omega_0"),
-        one("T_q", "flow_lag", "m³", "flow that lags the speed", 1,
-            lambda c, r: -slope(c.omega, c.dt), power=2.0),
+        one("T_q", "flow_lag", "s" if pump else "m³", "flow that lags the speed", 1,
+            lambda c, r: -(pump or 1.0) * slope(c.omega, c.dt), power=2.0,
+            twins=("position_delay", "backlash")),
     )
 
 

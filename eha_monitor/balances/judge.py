@@ -20,6 +20,7 @@ from eha_monitor.settings.monitor import Settings
 
 MOST_CHANGES = 3  # that are looked for in one balance
 WEARS, WEAR = "F_c", "dry"
+OIL = ("compliance", "entrained_air")  # that every machine has, however little it does
 OF_PLACE = ("spring_load", "position_load")  # they hold a load of their own
 ERROR = 1.5  # times the largest of the machine's own recordings: the balance does not belong
 
@@ -136,7 +137,11 @@ def judge(machine: Machine, courses: Sequence[Course], settings: Settings) -> Ju
         loading = next((s for s in one.settings if s.effect == LOAD), None)
         candidates = tuple(c for c in candidates_of(one.balance, machine.scale, rig)
                            if c.name in {*one.terms, *one.scatter.names})
-        tables = tables_of(courses, rig, one.balance, candidates, machine.policy)
+        compared = courses if one.balance != "drive" else within_speed(
+            courses, machine.scale.tops[:1])
+        if not all(course.good.any() for course in compared):
+            continue
+        tables = tables_of(compared, rig, one.balance, candidates, machine.policy)
         table = pooled_table(tables)
         usual, loose = usual_of(one.settings, {
             c.name: c for c in candidates if c.name in table.places})
@@ -159,6 +164,15 @@ def judge(machine: Machine, courses: Sequence[Course], settings: Settings) -> Ju
         values |= {name: row for name, *row in zip(
             fitted, here, np.sqrt(np.diag(covariance)).tolist(), strict=True) if name in held}
     return Judged(", ".join(one.source for one in courses), tuple(found), own, values)
+
+
+def within_speed(courses: Sequence[Course], tops: Sequence[float]) -> list[Course]:
+    """Return motions without the samples that ask for more speed than any healthy recording.
+
+    What a drive does there, at its limit for example, nobody has seen in health.
+    """
+    return [replace(course, good=course.good & (np.abs(course.wanted) <= top))
+            for course in courses for top in tops] or list(courses)
 
 
 def _judged(machine: Machine, one: MachineBalance, table: Table, held: dict[str, float],
@@ -188,6 +202,9 @@ def _judged(machine: Machine, one: MachineBalance, table: Table, held: dict[str,
         return error(with_oil(table, more, free, others, policy)), more
 
     of = {c.name: c for c in table.candidates}
+    surely = {name: value for name, value in held.items()
+              if of[name].always or of[name].effect in OIL or any(
+                  name in family.terms for family in one.named)}
     order = {c.name: i for i, c in enumerate(table.candidates)}
     oil = loose | oil_of([p for p in one.parameters if p.name in of], of, policy)
     names = [name for name in one.scatter.names
@@ -232,7 +249,7 @@ def _judged(machine: Machine, one: MachineBalance, table: Table, held: dict[str,
         if not of[left.names[i]].of_oil:
             i = next((j for j in equal if left.names[j] == WEARS), i)
         name, step, usual = left.names[i], float(amount[i]), max(one.held)
-        (after, more), own = with_step(now, name, step), abs(own_part(name, table, held))
+        (after, more), own = with_step(now, name, step), abs(own_part(name, table, surely))
         if not abs(step) > policy.worse * own or not (
                 before - after > policy.worse or abs(step) > policy.near * own > 0.0
                 or (is_loud(before, usual, one.size, table) and explains(before, after, usual))):
