@@ -15,7 +15,7 @@ from eha_monitor.estimation.results import Estimate
 from eha_monitor.health.alarms import BALANCES, NO_LIMIT, NOT_JUDGED, Alarm
 from eha_monitor.indicators.indicator import AVAILABLE, NEEDS, NONE, NOT_LOOKED_FOR, Indicator
 from eha_monitor.mismatch.diagnosis import Diagnosis
-from eha_monitor.plausibility.sheet import against_sheet
+from eha_monitor.plausibility.sheet import against_sheet, load_against
 from eha_monitor.quantity import DIAGNOSED, NOTE, SYMBOLS, number
 from eha_monitor.reports import diagnosis_words as words
 from eha_monitor.settings import Settings
@@ -89,7 +89,7 @@ def show(found: Estimate, alarms: tuple[Alarm, ...], written: list[Path],
     if found.model.status == "mismatch":
         first = baseline(recording, found.settings)
         show_baselines(to, (first,))
-        for sentence in against_sheet(first, found.settings.rig):
+        for sentence in against_sheet(first, found.settings):
             to.print(f"[yellow]config[/]: {escape(sentence)}")
         given = f" --config {config}" if config else ""
         to.print(f"[bold]what to do[/]: eha-monitor diagnose {escape(recording.source + given)}",
@@ -177,6 +177,7 @@ def show_indicators(to: Console, indicators: Sequence[Indicator], settings: Sett
 
 # ---- diagnose -----------------------------------------------------------------------------------
 
+LOADLIKE = {"constant_load", "pressure_offset"}  # what reads as a constant force
 RIVAL_FORMULA = 20.0  # log units: a formula that is worse by more is not worth a line
 _COLOURS = {"ok": "green", "warn": "yellow", "error": "red", "unknown": "dim"}
 
@@ -220,6 +221,9 @@ def show_diagnosis(found: Diagnosis, written: list[Path], notes: list[str] = (),
     if found.signals:
         to.print(_fit(found))
     show_baselines(to, found.baselines)
+    if settings is not None and LOADLIKE & {effect.name for effect in found.effects}:
+        for line in load_against(found.baselines, settings):
+            to.print(f"[yellow]config[/]: {escape(line)}")
     for finding in found.rig_within:
         to.print(f"[yellow]rig data[/]: {escape(finding.statement)}")
     for title, sentences in (("health", found.health), ("advice", found.advice),

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from eha_monitor.estimation.sensors import quantum, white_noise
 from eha_monitor.plausibility.moments import stretch_of
 from eha_monitor.quantity import quantity, share
 from eha_monitor.recordings.recording import ChannelFinding, Recording
@@ -76,7 +75,7 @@ def _still_while_others_move(name: str, channels: dict[str, np.ndarray]) -> _Run
             continue
         theirs = channels[other]
         least = max(MOVED * float(np.nanmax(theirs) - np.nanmin(theirs)),
-                    MOVES * white_noise(theirs)) if np.isfinite(theirs).any() else np.inf
+                    MOVES * _noise(theirs)) if np.isfinite(theirs).any() else np.inf
         moved |= np.array([np.ptp(theirs[a:b]) > least for a, b in zip(
             runs.starts, runs.stops, strict=True)])
     return runs.of(moved)
@@ -97,7 +96,9 @@ def _stairs(runs: _Runs, values: np.ndarray, span: float, dt: float, name: str) 
 
 def _cut(runs: _Runs, values: np.ndarray, span: float, name: str) -> str:
     """Return at which of its ends a channel is cut off, in words, or ""."""
-    least = max(CUT_OFF * span, STEPS * quantum(values[np.isfinite(values)]))
+    steps = np.abs(np.diff(values))
+    smallest = float(np.quantile(steps[steps > 0.0], 0.1)) if (steps > 0.0).any() else 0.0
+    least = max(CUT_OFF * span, STEPS * smallest)
     for sign, end, word in ((1.0, np.nanmax(values), "highest"),
                             (-1.0, np.nanmin(values), "lowest")):
         flat = runs.of(runs.values == end)
@@ -115,6 +116,13 @@ def _cut(runs: _Runs, values: np.ndarray, span: float, name: str) -> str:
 
 def _shown(value: float, name: str) -> str:
     return quantity(value, "N", 4) if name == "force" else f"{value / 1e5:.4g} bar"
+
+
+def _noise(values: np.ndarray) -> float:
+    """Return the standard deviation of the white part of a channel, by its second differences."""
+    bends = np.abs(np.diff(values, 2))
+    bends = bends[np.isfinite(bends)]
+    return float(np.median(bends)) / (0.6745 * 6.0**0.5) if len(bends) else 0.0
 
 
 def _missing(values: np.ndarray, start: int, stop: int) -> float:
