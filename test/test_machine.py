@@ -183,6 +183,19 @@ def test_a_machine_of_other_areas_is_refused_by_its_file(machine, settings, tmp_
         load(tmp_path / "machine.json", rig)
 
 
+def test_a_machine_that_does_not_say_its_areas_is_made_again(machine, settings, tmp_path):
+    path = tmp_path / "machine.json"
+    save(machine, path)
+    old = json.loads(path.read_text())
+    del old["areas"]  # as files were before they held them
+    path.write_text(json.dumps(old))
+    with pytest.raises(InputError) as problem:
+        load(path, settings.rig)
+    said = str(problem.value)
+    assert f"{path}: a machine of an older version" in said and "make it again" in said
+    assert f"--machine {path}" in said and machine.sources[0] in said and "\n" not in said
+
+
 def test_what_repeats_is_learned_and_noise_is_not():
     rng = np.random.default_rng(2)
     signals = [rng.standard_normal((400, 3)) for _ in range(6)]
