@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from machine_tools import stranger, stranger_settings
-from rig_tools import MULTISINE, real, simulated
+from rig_tools import MULTISINE, REST, real, simulated
 
 from eha_monitor.balances.alone import alone, probability_of
 from eha_monitor.balances.candidates import Scale, candidates_of, stop, taken_up
@@ -164,6 +164,19 @@ def test_the_balances_compare_first_whatever_the_config_holds():
                      healthy.config.model_copy(update={"effects": effect}))
     assert [one.what for one in found.changes] == ["B"]
     assert found.machine is not None and "position" not in found.signals  # no filter was asked
+
+
+def test_a_reference_that_stands_is_named_and_left_out():
+    healthy, rest = simulated(MULTISINE, 6.0), simulated(REST, 6.0)
+    standing = replace(rest.recording(5), source="stands")
+    moving = [replace(healthy.recording(seed), source=f"moves_{seed}") for seed in range(4)]
+    worn = simulated(MULTISINE, 6.0, rig={"viscous_damping": 800.0}).recording(9)
+    found = compared([worn], [moving[0], standing, *moving[1:]], healthy.config)
+    (said,) = [line for line in found.advice if "stands" in line]
+    assert "reference left out: stands: nothing moves in it" in said
+    assert [one.what for one in found.changes] == ["B"]
+    assert found.references == tuple(one.source for one in moving)
+    assert not any("left out" in line for line in compared([worn], moving, healthy.config).advice)
 
 
 def test_bad_machines_are_refused_in_one_line(recordings, settings, tmp_path):
