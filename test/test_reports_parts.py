@@ -213,3 +213,16 @@ def test_the_name_of_a_limit_hides_no_value(slope):
         (value > name.y) & (value < name.y + high) if name.up == "bottom" else
         (value < name.y) & (value > name.y - high))
     assert not there.any()
+
+
+def test_numbers_of_a_filter_that_has_diverged_are_written_in_silence():
+    import base64
+    import warnings
+
+    from eha_monitor.reports.plotly_chart import numbers
+
+    values = np.array([1.0, 1e200, -1e200])
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        found = numbers(values)
+    assert np.frombuffer(base64.b64decode(found["bdata"]), found["dtype"]).tolist() == list(values)

@@ -153,8 +153,12 @@ def _alarms(alarms: tuple[Alarm, ...]) -> Table:
     return shown
 
 
-def show_indicators(to: Console, indicators: Sequence[Indicator], settings: Settings) -> None:
-    """Print those that are told, why others are not, and which keys are missing."""
+def show_indicators(to: Console, indicators: Sequence[Indicator], settings: Settings,
+                    looks: str = "`diagnose`") -> None:
+    """Print those that are told, why others are not, and which keys are missing.
+
+    ``looks`` : what finds those that nobody has looked for.
+    """
     from eha_monitor.indicators.indicator import passed
 
     shown = [one for one in indicators if one.status not in (NEEDS, NONE)
@@ -167,7 +171,7 @@ def show_indicators(to: Console, indicators: Sequence[Indicator], settings: Sett
         to.print(rows)
     if others := [one.words for one in indicators if one.message == NOT_LOOKED_FOR
                  and one.name != "friction_share"]:
-        to.print(escape(f"run `diagnose` for {listed(others)}"), style="dim")
+        to.print(escape(f"run {looks} for {listed(others)}"), style="dim")
     missing = dict.fromkeys(key for one in indicators for key in one.missing)
     if missing:
         lacking = listed([one.words for one in indicators if one.status == NEEDS])
@@ -217,7 +221,8 @@ def show_diagnosis(found: Diagnosis, written: list[Path], notes: list[str] = (),
     if found.before or found.after:
         to.print(_parameters(found))
     if settings is not None:
-        show_indicators(to, indicators, settings)
+        show_indicators(to, indicators, settings, "`diagnose` without --reference"
+                        if found.references else "`diagnose`")
     if found.signals:
         to.print(_fit(found))
     show_baselines(to, found.baselines)

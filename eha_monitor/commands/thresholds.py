@@ -64,8 +64,8 @@ def thresholds(bags: tuple[Path, ...], config: Path | None, rate: float, least: 
                  for symbol, found in healthy.items() if found]
     if unfit:
         of = "" if len(unfit) == len(bags) else f" ({', '.join(map(str, unfit))})"
-        told.append(f"the model does not fit {len(unfit)} of {len(bags)} recordings{of}: there B "
-                    "and βe are by least squares on the balances, as the alarms judge them")
+        told.append(f"the model does not fit {len(unfit)} of {len(bags)} recordings{of}: what is "
+                    "in doubt there is by least squares on the balances, as the alarms judge it")
         if remedy:
             told += ["the diagnosed model brings narrower limits:",
                      *(f"  {command}" for command in remedy)]
