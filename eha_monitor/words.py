@@ -4,6 +4,7 @@
 def effect_words(name: str) -> str:
     """Return the name of an effect as people say it: ``Coulomb friction``."""
     words = name.replace("_", " ")
+    words = words.replace("one sided", "one-sided")
     for person in ("coulomb", "stribeck"):
         words = words.replace(person, person.capitalize())
     return words

@@ -55,6 +55,24 @@ def test_limits_that_contradict_are_one_line(tmp_path, capsys, change, said):
     assert said in text and str(file) in text
 
 
+@pytest.mark.parametrize(("acceleration", "noise"), [
+    ("1e-6 m/s^2", 1e-6), ("0.001 m/s^2", 1e-6), ("5 m/s^2", 3e-3)])
+def test_no_motion_is_proposed_that_the_position_would_not_show(acceleration, noise):
+    """4 nm, or 4 µm, were what limits as tight as that left of a sine of 2 Hz."""
+    tree = load_settings(CONFIG).model_dump(exclude_unset=True)
+    tree["experiment"]["acceleration"] = acceleration
+    tree["simulation"] = {"noise": {"position": noise}}
+    settings = settings_from_tree(tree, "my.yaml")
+    try:
+        planned = Planner(settings, bounds_of(settings, "my.yaml"), "my.yaml").first(0.0)
+    except InputError as problem:
+        text = str(problem)
+        assert "10 times the noise of the position" in text and "\n" not in text
+        return
+    sizes = [one.amplitude for one in planned.motion.segments.values() if one.kind != "rest"]
+    assert sizes and min(sizes) >= 10.0 * noise
+
+
 def test_a_piston_outside_the_limits_is_not_moved():
     settings = load_settings(CONFIG)
     with pytest.raises(InputError, match=r"the piston stands at x = 0\.05 m"):

@@ -50,6 +50,10 @@ HEADERS = [  # header, unit of the map, quantity, demand, chamber
     ("Presión 1 (psi)", "psi", "pressure", False, 1),
     ("pressure_a_psig", "psi gauge", "pressure", False, 1),
     ("p1 (barg)", "bar gauge", "pressure", False, 1),
+    ("p_A [bar g]", "bar g", "pressure", False, 1),
+    ("p_A bar g", "bar g", "pressure", False, 1),
+    ("p_B [bar(a)]", "bar(a)", "pressure", False, 2),
+    ("p_a", "", "pressure", False, 1),
     ("Supply pressure [bar]", "bar", "pressure", False, -1),
     ("p_tank", "", "pressure", False, -1),
     ("Pumpendrehzahl [1/min]", "rpm", "turning", False, 0),
@@ -63,6 +67,10 @@ HEADERS = [  # header, unit of the map, quantity, demand, chamber
     ("Fuerza (N)", "N", "force", False, 0),
     ("Torque [Nm]", "N*m", "force", False, 0),
     ("Öltemperatur [°C]", "degC", "temperature", False, 0),
+    ("oil_C", "degC", "temperature", False, 0),
+    ("T_oil", "", "temperature", False, 0),
+    ("temp_K", "K", "temperature", False, 0),
+    ("phase_C", "", "", False, 0),
     ("Zeit [ms]", "ms", "time", False, 0),
     ("Temps (s)", "s", "time", False, 0),
     ("t_s", "s", "time", False, 0),
@@ -267,6 +275,11 @@ def test_bore_rod_and_stroke():
     ("x.column=nowhere", "column 'nowhere' not found, the file has"),
     ("force.unit=kN", "no column was found for it"),
     ("x.scale=abc", "expected"),
+    ("bore=40", "expected bore of the cylinder from 1 mm to 2 m, such as '40 mm', got '40'; a "
+     "number alone is in m"),
+    ("charge_pressure=15", "expected absolute pressure of the make-up source from 1 kPa"),
+    ("pump_displacement=5.2", "such as '1.6 cm^3/rev'"),
+    ("stroke=50 mm", "expected at least the 72.8 mm that x moves in the recording"),
     ("mass=nan", "at least 0"),
 ])
 def test_a_bad_answer_is_one_line(tmp_path, capsys, answer, said):
@@ -291,6 +304,58 @@ def test_a_file_of_no_use_is_one_line(tmp_path, capsys, content, said):
     assert status == 2
     assert re.search(said, err)
     assert err.count("\n") == 1
+
+
+def test_a_rod_is_thinner_than_its_bore(tmp_path, capsys):
+    said = refused(capsys, "init", german(tmp_path / "a.csv"), "--yes",
+                   *sets("bore=40 mm", "rod=40 mm"))
+    assert "--set rod=40 mm: expected a rod thinner than the bore of 40 mm" in said
+
+
+@pytest.mark.parametrize(("unit", "answer"), [
+    ("bar g", ("pressures=gauge",)), ("bar g", ()), ("bar(g)", ("pressures=gauge",)),
+    ("bar abs", ("pressures=absolute",)), ("bara", ())])
+def test_a_unit_that_says_gauge_or_absolute_says_it_once(tmp_path, capsys, unit, answer):
+    file = table(tmp_path / "a.csv", {
+        "Zeit [ms]": TIME * 1e3, "Weg [mm]": SEEN["x"] * 1e3, f"p_A [{unit}]": SEEN["p1"] * 1e-5,
+        f"p_B [{unit}]": SEEN["p2"] * 1e-5})
+    status, out, err = init(capsys, file, "--yes", *sets(*SHEET, *answer))
+    assert status == 0, err
+    assert "pressures:" not in out  # nobody is asked for what the header says
+    zero = 101_325.0 if "g" in unit else 0.0
+    assert load_settings(tmp_path / "my_rig.yaml").table.columns["p1"].zero == zero
+
+
+def test_a_header_and_an_answer_that_contradict_each_other(tmp_path, capsys):
+    file = table(tmp_path / "a.csv", {
+        "Zeit [ms]": TIME * 1e3, "Weg [mm]": SEEN["x"] * 1e3, "p_A [bar g]": SEEN["p1"] * 1e-5,
+        "p_B [bar g]": SEEN["p2"] * 1e-5})
+    assert "'p_A [bar g]' is in 'bar g', which is gauge; expected pressures=gauge" in refused(
+        capsys, "init", file, "--yes", *sets("pressures=absolute"))
+
+
+@pytest.mark.parametrize(("answer", "asked"), [
+    ("load=gravity", ("inclination: ", "rig.mass: moving mass")),
+    ("load=spring", ("spring: ",))])
+def test_a_load_whose_number_is_missing_is_not_in_the_config_and_said_so(tmp_path, capsys, answer,
+                                                                        asked):
+    _, out, _ = init(capsys, german(tmp_path / "a.csv"), "--yes", *sets(answer))
+    missing = " ".join(out.partition("channels x")[0].split())
+    for one in asked:
+        assert one in missing
+        assert "until told, the config has no load" in missing.partition(one)[2]
+    assert not load_settings(tmp_path / "my_rig.yaml").effects
+
+
+def test_no_weight_of_a_mass_that_nobody_has_told(tmp_path, capsys):
+    init(capsys, german(tmp_path / "a.csv"), "--yes", *sets("load=gravity", "inclination=30 deg"))
+    assert not load_settings(tmp_path / "my_rig.yaml").effects
+
+
+def test_the_name_that_people_give_the_machine(tmp_path, capsys):
+    init(capsys, german(tmp_path / "a.csv"), "--yes", *sets("name=Presse 3, links"))
+    assert load_settings(tmp_path / "my_rig.yaml").rig.name == "Presse 3, links"
+    assert "# answered" in (tmp_path / "my_rig.yaml").read_text().partition("motion")[0]
 
 
 def test_nothing_is_overwritten(tmp_path, capsys):
@@ -423,15 +488,17 @@ def test_a_person_at_a_terminal_is_asked(tmp_path):
         [sys.executable, "-m", "eha_monitor", "init", str(file), "--out",
          str(tmp_path / "r.yaml")], stdin=follower, stdout=subprocess.PIPE,
         stderr=subprocess.PIPE, text=True, cwd=ROOT)
-    # machine, load, pressures, bore (first nonsense), rod, stroke, where x = 0 lies, lines, mass,
-    # pump, leakage, charge: as asked, in order.
-    os.write(leader, b"double_rod\nnone\nabsolute\nforty\n40 mm\n25 mm\n100 mm\n"
+    # machine, load, pressures, bore (first nonsense), rod and stroke (first impossible),
+    # where x = 0 lies, lines, mass, pump, leakage, charge: as asked, in order.
+    os.write(leader, b"double_rod\nnone\nabsolute\nforty\n40 mm\n45 mm\n25 mm\n50 mm\n100 mm\n"
              b"middle\n20 cm^3\n30 kg\n\n\n\n\n")
     _, err = process.communicate(timeout=60)
     os.close(leader)
     os.close(follower)
     assert process.returncode == 0, err
     assert "expected bore of the cylinder" in err
+    assert "expected a rod thinner than the bore" in err
+    assert "that x moves in the recording" in err
     rig = load_settings(tmp_path / "r.yaml").rig
     assert rig.area_1 == pytest.approx(np.pi / 4 * (0.04**2 - 0.025**2), rel=1e-4)
     assert rig.volume_2 == pytest.approx(rig.area_1 * 0.05 + 20e-6, rel=1e-4)

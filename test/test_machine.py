@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from machine_tools import stranger, stranger_settings
-from rig_tools import MULTISINE, real, simulated
+from rig_tools import MULTISINE, REST, real, simulated
 
 from eha_monitor.balances.alone import alone, probability_of
 from eha_monitor.balances.candidates import Scale, candidates_of, stop, taken_up
@@ -166,6 +166,19 @@ def test_the_balances_compare_first_whatever_the_config_holds():
     assert found.machine is not None and "position" not in found.signals  # no filter was asked
 
 
+def test_a_reference_that_stands_is_named_and_left_out():
+    healthy, rest = simulated(MULTISINE, 6.0), simulated(REST, 6.0)
+    standing = replace(rest.recording(5), source="stands")
+    moving = [replace(healthy.recording(seed), source=f"moves_{seed}") for seed in range(4)]
+    worn = simulated(MULTISINE, 6.0, rig={"viscous_damping": 800.0}).recording(9)
+    found = compared([worn], [moving[0], standing, *moving[1:]], healthy.config)
+    (said,) = [line for line in found.advice if "stands" in line]
+    assert "reference left out: stands: nothing moves in it" in said
+    assert [one.what for one in found.changes] == ["B"]
+    assert found.references == tuple(one.source for one in moving)
+    assert not any("left out" in line for line in compared([worn], moving, healthy.config).advice)
+
+
 def test_bad_machines_are_refused_in_one_line(recordings, settings, tmp_path):
     with pytest.raises(InputError, match="at least 3 recordings"):
         machine_of(recordings[:2], settings)
@@ -181,6 +194,19 @@ def test_a_machine_of_other_areas_is_refused_by_its_file(machine, settings, tmp_
     rig = settings.rig.model_copy(update={"area_1": 1.5 * settings.rig.area_1})
     with pytest.raises(InputError, match=r"machine\.json: a machine with areas of .*, expected"):
         load(tmp_path / "machine.json", rig)
+
+
+def test_a_machine_that_does_not_say_its_areas_is_made_again(machine, settings, tmp_path):
+    path = tmp_path / "machine.json"
+    save(machine, path)
+    old = json.loads(path.read_text())
+    del old["areas"]  # as files were before they held them
+    path.write_text(json.dumps(old))
+    with pytest.raises(InputError) as problem:
+        load(path, settings.rig)
+    said = str(problem.value)
+    assert f"{path}: a machine of an older version" in said and "make it again" in said
+    assert f"--machine {path}" in said and machine.sources[0] in said and "\n" not in said
 
 
 def test_what_repeats_is_learned_and_noise_is_not():

@@ -236,6 +236,20 @@ def fault(parameter, start, value, duration=0.0):
                       "duration": duration}}
 
 
+def test_an_event_whose_value_does_not_stand_says_so():
+    """Dry friction that the config lacks: what the stages converged at is not B and beta_e."""
+    dry = simulated(TRIANGLE, 8.0, effects={"coulomb_friction": {"F_c": 40.0}}).recording(0)
+    found, fits = answer(dry), answer(simulated(SINE, 8.0).recording(0))
+    assert "B" in found.model.tainted and not fits.model.tainted
+    told = [event for event in found.events if event.parameter in found.model.tainted]
+    assert told and any(event.parameter for event in fits.events)
+    for event in told:
+        assert "(in doubt: the model does not fit since" in event.message
+        instead = found.model.tainted[event.parameter].instead
+        assert instead is None or f"{instead.shown} by least squares" in event.message
+    assert not any("in doubt" in event.message for event in fits.events)
+
+
 def events(found, stage, word):
     return [event for event in found.events if event.stage == stage and word in event.message]
 

@@ -409,3 +409,50 @@ def test_the_monitor_says_it_in_its_diagnostics():
     assert found["data"].level == "ERROR"
     assert "omega has the wrong sign" in found["data"].message
     assert found["stage_one"].level == "STALE"
+
+
+def held_of(recording, config, **channels):
+    """What is said of a recording in which channels were replaced."""
+    odd = replace(recording, channels={**recording.channels, **channels})
+    return [one.finding for one in plausibility_of(odd, config).findings if one.kind == "hold"]
+
+
+@pytest.mark.parametrize("missing", [0.0, 0.05, 0.3])
+@pytest.mark.parametrize("name", ["p1", "p2"])
+@pytest.mark.parametrize("step", [0.0, 2e3])
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_sensor_at_the_end_of_its_range_is_told(name, missing, step, sign):
+    recording, config = SECOND
+    time = np.arange(len(recording)) * 2e-3
+    wave = np.minimum(5e5 * np.sin(2 * np.pi * 0.7 * time), 5e5 - missing * 1e6)
+    seen = 25e5 + sign * wave + (0.0 if missing else np.random.default_rng(1).normal(
+        0, 500.0, len(time)))
+    shown = np.round(seen / step) * step if step else seen
+    said = held_of(recording, config, **{name: shown})
+    assert len(said) == (missing > 0.0)
+    assert all(f"{name} stays at exactly" in one and ("highest", "lowest")[sign < 0] in one
+               for one in said)
+
+
+def test_a_set_point_in_the_place_of_a_pressure_is_told():
+    recording, config = SECOND
+    wave = np.where(np.sin(2 * np.pi * 0.4 * np.arange(len(recording)) * 2e-3) > 0, 30e5, 20e5)
+    said = held_of(recording, config, p1=wave)
+    assert len(said) == 1 and "jumps by 10 bar: it may be a set-point" in said[0]
+    copied = replace(recording, channels={
+        **recording.channels, "p1": 20e5 + 4e7 * recording.channels["x_d"]})
+    found = plausibility_of(copied, config)
+    assert found.blocking and "x_d and p1 hold the same numbers in other units" in found.message
+
+
+@pytest.mark.parametrize("step", [0.0, 500.0, 5e3, 2e4])
+@pytest.mark.parametrize("effects", [{}, {"coulomb_friction": {"F_c": 300.0}}])
+@pytest.mark.parametrize("shape", [TRIANGLE, MULTISINE])
+def test_coarse_and_quiet_sensors_of_a_machine_with_friction_are_not_cut_off(step, effects, shape):
+    quiet = dict.fromkeys(("position", "pressure", "pump_speed"), 0.0)
+    config = settings(rig=OTHER, effects=effects, simulation=motion(
+        shape, 8.0, publish=list(SENSORS)) | {"noise": quiet})
+    recording = Recording(2e-3, Simulator(config, seed=1).advance(4000), 10**9, "made")
+    rounded = {name: np.round(recording.channels[name] / step) * step
+               for name in ("p1", "p2") if step}
+    assert not held_of(recording, config, **rounded)

@@ -194,3 +194,35 @@ def test_timeline_in_percent_with_marks_that_do_not_overlap():
     assert interval_timeline("worst", ((float("nan"), 3.0),), 10.0) is None
     assert alarm_timeline((), (), (), 10.0).note
     assert alarm_timeline(alarms, history, (), 0.0).note
+
+
+@pytest.mark.parametrize("slope", [-1.0, 0.0, 1.0])
+def test_the_name_of_a_limit_hides_no_value(slope):
+    """Values that rise to a limit, fall from it, or lie along it: there is always room beside."""
+    from eha_monitor.reports import figure
+    from eha_monitor.reports.estimate_figures import add_limits
+
+    along = np.linspace(0.0, 1.0, 12)
+    value = 930.0 + slope * 300.0 * (along - 0.5)
+    panel = figure.Panel(figure.Side("t", limits=(0.0, 1.0)), figure.Side(
+        "B", limits=(300.0, 1500.0)))
+    add_limits(panel, value, [(1000.0, "WARN above"), (1480.0, "ERROR above")], "N·s/m", along)
+    (name,) = [one for one in panel.shown if isinstance(one, figure.Text) and "1000" in one.words]
+    wide, high = 0.5, 0.07 * 1200.0
+    there = (along < wide if name.across == "left" else along > 1.0 - wide) & (
+        (value > name.y) & (value < name.y + high) if name.up == "bottom" else
+        (value < name.y) & (value > name.y - high))
+    assert not there.any()
+
+
+def test_numbers_of_a_filter_that_has_diverged_are_written_in_silence():
+    import base64
+    import warnings
+
+    from eha_monitor.reports.plotly_chart import numbers
+
+    values = np.array([1.0, 1e200, -1e200])
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        found = numbers(values)
+    assert np.frombuffer(base64.b64decode(found["bdata"]), found["dtype"]).tolist() == list(values)

@@ -12,7 +12,7 @@ RECORDING, CONFIG = made(MULTISINE, 12.0, **(OTHER | {"sample_time": 1e-3}))
 
 
 def said(recording=RECORDING, config=CONFIG):
-    return against_sheet(baseline(recording, config), config.rig)
+    return against_sheet(baseline(recording, config), config)
 
 
 def late(seconds, *channels):
@@ -63,3 +63,31 @@ def test_without_a_number_in_the_config_nothing_is_said():
     tree = CONFIG.model_dump()
     tree["rig"]["pump_displacement"] = None
     assert said(config=settings(**tree)) == []
+
+
+@pytest.mark.parametrize(("load", "zero"), [(600.0, 0.0), (-500.0, 0.0), (0.0, 5e5)])
+def test_a_constant_load_that_the_config_lacks_is_a_line_to_write(load, zero):
+    rig = OTHER | {"sample_time": 1e-3}
+    effects = {"constant_load": {"F_0": load}} if load else {}
+    recording, config = made(MULTISINE, 12.0, effects, **rig)
+    shown = changed(recording)
+    shown.channels["p1"] = shown.get("p1") + zero
+    (sentence,) = said(shown, config)
+    true = load + rig["area_1"] * zero
+    written = float(sentence.split("F_0: ")[1].split("}")[0])
+    assert written == pytest.approx(true, rel=0.03)
+    high = float(sentence.split("p1 that reads ")[1].split(" bar")[0])
+    assert high == pytest.approx(abs(true) / rig["area_1"] / 1e5, rel=0.05)
+    assert f"bar too {'high' if true > 0 else 'low'}" in sentence
+    right = settings(**config.model_dump(exclude_unset=True) | {
+        "effects": {"constant_load": {"F_0": written}}})
+    assert said(shown, right) == []
+
+
+@pytest.mark.parametrize(("unit", "hint"), [("", True), ("kPa", True), ("bar", False),
+                                            ("Pa", False)])
+def test_a_unit_that_the_config_writes_was_not_taken_for_another(unit, hint):
+    tree = with_rig(CONFIG, mass=6.894757).model_dump(exclude_unset=True)
+    columns = {name: {"column": name, "unit": unit} for name in ("p1", "p2")}
+    (sentence,) = said(config=settings(**tree | {"table": {"columns": columns}}))
+    assert ("pressures in psi that are taken for kPa" in sentence) == hint

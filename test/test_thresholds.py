@@ -79,12 +79,38 @@ def test_one_recording_says_what_it_cannot_know(bags, tmp_path, capsys):
     assert limits.high_warn == pytest.approx(1000, rel=0.01)
 
 
+def test_what_was_given_is_not_asked_for_again():
+    """Five were given, of which B stands in one, in three, in five."""
+    from eha_monitor.commands.thresholds import _sentences
+    from eha_monitor.health.proposal import Healthy, proposed
+
+    def said(count):
+        some = [Healthy(f"{k}", 600.0 + k, 1.0, 601.0 + k, 599.0 + k) for k in range(count)]
+        return " ".join(_sentences([proposed("B", some, 0.01, 0.1)], [], 10.0, 5))
+
+    assert "4 of the 5 recordings were left out (above)" in said(1)
+    assert "3 recordings are few for reliable limits; 2 of the 5 were left out (above)" in said(3)
+    for count in (1, 3, 5):
+        assert "ecord four more" not in said(count) and "record 5" not in said(count)
+
+
+def test_recordings_of_which_none_says_anything_are_one_short_line(bags, tmp_path, capsys):
+    config = tmp_path / "bare.yaml"
+    config.write_text("rig: {area_1: null, area_2: null}\n")
+    assert main(["thresholds", "--from", *bags[:4], "--config", str(config)]) == 2
+    err = capsys.readouterr().err
+    assert err.count("\n") == 1 and len(err) < 500
+    assert err.count("B is left out") == 1 and "all 4: B is left out" in err
+
+
 def test_two_recordings_are_wide_and_say_so(bags, tmp_path, capsys):
     written = tmp_path / "judged.yaml"
     assert main(["thresholds", "--from", *bags[:2], "--rate", "0.01", "--write-config",
                  str(written)]) == 0
     out = capsys.readouterr().out
-    assert "2 recordings give limits that watch nothing" in out
+    plain = " ".join(out.split())
+    said = re.search(r"B: no ([\w, ]+), which would be more than a factor of 3", plain)
+    assert re.findall(r"\w+_(?:warn|error)", said[1]) == re.findall(r"^B (\w+) +none", out, re.M)
     limits = load_settings(written).thresholds.viscous_damping
     for key, value, factor in re.findall(r"^B (\w+) +(none|[\d.]+) .*?([\d.]+) +[\d.]+ ?%", out,
                                          re.M):

@@ -100,12 +100,15 @@ class Baseline:
     ----------
     force, flow : the balances.
     missing : reasons, by balance.
+    leaning : N, by how much areas that are one tolerance off move a constant load: of each chamber
+        its mean pressure force. 0 of a measured force.
     """
 
     source: str
     force: BalanceFit | None
     flow: BalanceFit | None
     missing: dict[str, str]
+    leaning: float = 0.0
 
     def to_dict(self) -> dict:
         """Return the JSON form, key ``baseline``."""
@@ -132,7 +135,16 @@ def baseline(recording: Recording, settings: Settings) -> Baseline:
         flow = fitted(course, course.counted("flow"), *columns)
         if flow is None:
             missing["flow"] = "too little motion"
-    return Baseline(recording.source, force, flow, missing)
+    return Baseline(recording.source, force, flow, missing, leaning(course, settings.rig))
+
+
+def leaning(course: Course, rig: Rig) -> float:
+    """Return how far areas that are one tolerance off move a constant load, N."""
+    if course.p1 is None or course.p2 is None or not (rig.area_1 and rig.area_2):
+        return 0.0
+    forces = [area * float(np.mean(p)) * rig.tolerance.log_spread(key) for key, area, p in (
+        ("area_1", rig.area_1, course.p1), ("area_2", rig.area_2, course.p2))]
+    return float(np.hypot(*forces))
 
 
 def beside(course: Course, settings: Settings) -> np.ndarray:

@@ -39,18 +39,24 @@ def load(path: Path, rig: Rig) -> Machine:
     Raises
     ------
     InputError
-        Naming the file, if it holds none, or one with other areas than the rig's: every force and
-        flow of its balances would be another.
+        Naming the file, if it holds none, or one with other areas than the rig's, or that does not
+        say with which it was made: every force and flow of its balances would be another.
     """
     machine = _read(path)
     own, within = (rig.area_1, rig.area_2), machine.policy.varied * rig.tolerance.log_spread(
         "area_1")
-    if machine.areas and all((*machine.areas, *own)) and any(
-            abs(np.log(here / there)) > within
-            for here, there in zip(own, machine.areas, strict=True)):
-        theirs, mine = (" and ".join(quantity(one, "m²", 3) for one in areas)
-                        for areas in (machine.areas, own))
-        raise InputError(f"{path}: a machine with areas of {theirs}, expected those of the "
+    theirs = machine.areas
+    if theirs is None and any(own):
+        raise InputError(f"{path}: a machine of an older version, which does not say for which "
+                         "areas it was made; make it again from its recordings: eha-monitor "
+                         f"diagnose {' '.join(machine.sources)} --config CONFIG --machine "
+                         f"{path}")
+    if theirs is not None and any(bool(here) != bool(there) or (
+            here and abs(np.log(here / there)) > within)
+            for here, there in zip(own, theirs, strict=True)):
+        others, mine = (" and ".join(quantity(one, "m²", 3) if one else "none" for one in areas)
+                        for areas in (theirs, own))
+        raise InputError(f"{path}: a machine with areas of {others}, expected those of the "
                          f"config, {mine}")
     return machine
 

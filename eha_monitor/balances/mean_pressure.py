@@ -8,7 +8,8 @@ A_2 / A_1 of the pump's flow going through chamber 2 (Merritt 1967, Eq. 6-39, wi
 So a leakage across the piston leaves the mean pressure alone, and one to ambient lowers it, by
 more than any tolerance of the source's pressure explains.  Check valves instead of that path let
 both pressures rise above the source; then only the lowest is its own.  How large the leak is, is
-known as well as G.
+known as well as G: where that leaves its size less than ``varied`` deviations from absent, no leak
+is named, as no other effect is, and the source's pressure is what the recording contradicts.
 """
 
 from collections.abc import Sequence
@@ -58,14 +59,18 @@ def leak_or_source(courses: Sequence[Course], settings: Settings, displacement: 
     said = (f"the mean pressure of {quantity(mean, 'Pa', 3)} is {{}} the "
             f"{quantity(rig.charge_pressure, 'Pa', 3)} of its source by "
             f"{share(abs(mean / rig.charge_pressure - 1.0), 2)}")
+    source = RigFinding("charge_pressure", rig.charge_pressure,
+                        Value(needed, needed * doubt, "Pa"), policy.certain,
+                        said.format("above" if apart < 0.0 else "below"),
+                        () if apart < 0.0 else (EFFECT, "makeup_conductance"))
     if apart < 0.0:
-        found = Value(needed, needed * doubt, "Pa")
-        return RigFinding("charge_pressure", rig.charge_pressure, found, policy.certain,
-                          said.format("above"))
+        return source
     head = 2.0 * (mean - rig.ambient_pressure)
     size = 2.0 * rig.makeup_conductance * (rig.charge_pressure - needed) / head
     entry, value = CATALOGUE[EFFECT], Value(
         size, size * rig.tolerance.log_spread("makeup_conductance"), "m³/(s·Pa)")
+    if not value.value > policy.varied * value.stddev:
+        return source
     return NamedEffect(
         EFFECT, entry.balance, f"{said.format('below')}: a leak of both chambers to ambient", {
             "L_1": value, "L_2": value}, apart**2 / 2.0, ("charge_pressure", "makeup_conductance"),

@@ -62,7 +62,7 @@ def init(file: Path, out: Path, given: tuple[str, ...], yes: bool, overwrite: bo
         source = source_of(file)
         draft = drafted(source, answers)
     if sys.stdin.isatty() and not yes and draft.asked:
-        answers = _asked(draft.asked, answers, given, answers.turns(draft.map.rotary))
+        answers = _asked(draft, answers, given)
         draft = drafted(source, answers)
     write_text(out, draft.text)
     _tell(draft)
@@ -70,15 +70,16 @@ def init(file: Path, out: Path, given: tuple[str, ...], yes: bool, overwrite: bo
     _next(file, out, draft, source.bag)
 
 
-def _asked(asked, answers, given, rotary):
+def _asked(draft, answers, given):
     """Ask at the terminal for what is open; an empty answer leaves it open."""
     from eha_monitor.draft.answers import CHOICES, answers_of
-    from eha_monitor.draft.rig import QUESTIONS
+    from eha_monitor.draft.rig import QUESTIONS, Seen, seen_in
 
-    wanted = []
-    for key, question in asked:
+    rotary, wanted = answers.turns(draft.map.rotary), []
+    seen = Seen(1.0) if draft.recording is None else seen_in(draft.recording)
+    for key, question in draft.asked:
         name = key.removeprefix("rig.")
-        if name in CHOICES or key.endswith((".full", ".column")):
+        if name in (*CHOICES, *QUESTIONS) or key.endswith((".full", ".column")):
             wanted.append((key, question))
             continue
         wanted += [(part, words) for part in _ANSWERS.get(name, (name,))
@@ -93,22 +94,25 @@ def _asked(asked, answers, given, rotary):
         key, question = wanted.pop(0)
         if key in answers.rig or answers.lacks(key):
             continue
-        text = _answer(key, question, said)
+        text = _answer(key, question, said, seen, rotary)
         answers = answers_of(tuple(said))
         wanted[:0] = [(then, QUESTIONS[then]) for on, then in _THEN.get(key, ())
                       if text and text == (on or text)]
     return answers
 
 
-def _answer(key, question, said):
+def _answer(key, question, said, seen, rotary):
     """Ask until the answer can be read, add it to what was said, and return it."""
     from eha_monitor.draft.answers import answers_of
+    from eha_monitor.draft.rig import too_short
 
     while True:
         text = click.prompt(question, default="", show_default=False, err=True).strip()
         try:
             if text:
-                answers_of((*said, f"{key}={text}"))
+                answers = answers_of((*said, f"{key}={text}"))
+                if key == "stroke" and (short := too_short(answers, seen, rotary)):
+                    raise InputError(short)
                 said.append(f"{key}={text}")
             return text
         except InputError as problem:

@@ -15,7 +15,7 @@ from eha_monitor.estimation.results import Estimate
 from eha_monitor.health.alarms import BALANCES, NO_LIMIT, NOT_JUDGED, Alarm
 from eha_monitor.indicators.indicator import AVAILABLE, NEEDS, NONE, NOT_LOOKED_FOR, Indicator
 from eha_monitor.mismatch.diagnosis import Diagnosis
-from eha_monitor.plausibility.sheet import against_sheet
+from eha_monitor.plausibility.sheet import against_sheet, load_against
 from eha_monitor.quantity import DIAGNOSED, NOTE, SYMBOLS, number
 from eha_monitor.reports import diagnosis_words as words
 from eha_monitor.settings import Settings
@@ -89,7 +89,7 @@ def show(found: Estimate, alarms: tuple[Alarm, ...], written: list[Path],
     if found.model.status == "mismatch":
         first = baseline(recording, found.settings)
         show_baselines(to, (first,))
-        for sentence in against_sheet(first, found.settings.rig):
+        for sentence in against_sheet(first, found.settings):
             to.print(f"[yellow]config[/]: {escape(sentence)}")
         given = f" --config {config}" if config else ""
         to.print(f"[bold]what to do[/]: eha-monitor diagnose {escape(recording.source + given)}",
@@ -153,8 +153,12 @@ def _alarms(alarms: tuple[Alarm, ...]) -> Table:
     return shown
 
 
-def show_indicators(to: Console, indicators: Sequence[Indicator], settings: Settings) -> None:
-    """Print those that are told, why others are not, and which keys are missing."""
+def show_indicators(to: Console, indicators: Sequence[Indicator], settings: Settings,
+                    looks: str = "`diagnose`") -> None:
+    """Print those that are told, why others are not, and which keys are missing.
+
+    ``looks`` : what finds those that nobody has looked for.
+    """
     from eha_monitor.indicators.indicator import passed
 
     shown = [one for one in indicators if one.status not in (NEEDS, NONE)
@@ -167,7 +171,7 @@ def show_indicators(to: Console, indicators: Sequence[Indicator], settings: Sett
         to.print(rows)
     if others := [one.words for one in indicators if one.message == NOT_LOOKED_FOR
                  and one.name != "friction_share"]:
-        to.print(escape(f"run `diagnose` for {listed(others)}"), style="dim")
+        to.print(escape(f"run {looks} for {listed(others)}"), style="dim")
     missing = dict.fromkeys(key for one in indicators for key in one.missing)
     if missing:
         lacking = listed([one.words for one in indicators if one.status == NEEDS])
@@ -177,6 +181,7 @@ def show_indicators(to: Console, indicators: Sequence[Indicator], settings: Sett
 
 # ---- diagnose -----------------------------------------------------------------------------------
 
+LOADLIKE = {"constant_load", "pressure_offset"}  # what reads as a constant force
 RIVAL_FORMULA = 20.0  # log units: a formula that is worse by more is not worth a line
 _COLOURS = {"ok": "green", "warn": "yellow", "error": "red", "unknown": "dim"}
 
@@ -216,10 +221,14 @@ def show_diagnosis(found: Diagnosis, written: list[Path], notes: list[str] = (),
     if found.before or found.after:
         to.print(_parameters(found))
     if settings is not None:
-        show_indicators(to, indicators, settings)
+        show_indicators(to, indicators, settings, "`diagnose` without --reference"
+                        if found.references else "`diagnose`")
     if found.signals:
         to.print(_fit(found))
     show_baselines(to, found.baselines)
+    if settings is not None and LOADLIKE & {effect.name for effect in found.effects}:
+        for line in load_against(found.baselines, settings):
+            to.print(f"[yellow]config[/]: {escape(line)}")
     for finding in found.rig_within:
         to.print(f"[yellow]rig data[/]: {escape(finding.statement)}")
     for title, sentences in (("health", found.health), ("advice", found.advice),

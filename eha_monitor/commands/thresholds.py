@@ -19,6 +19,7 @@ from eha_monitor.commands.common import (
 from eha_monitor.errors import InputError
 from eha_monitor.output import write_json, write_text
 
+FEW = 5  # recordings; with fewer a spread is hardly known
 SCHEMA = "eha_monitor/thresholds/1"
 
 
@@ -57,14 +58,14 @@ def thresholds(bags: tuple[Path, ...], config: Path | None, rate: float, least: 
     remedy = [] if diagnosed else _remedy(list(unfit), bags, config)
     if not any(healthy.values()):
         raise InputError("; ".join([
-            f"{bags[0]}: expected at least one recording in which B or βe converges", *told,
-            *(["run `" + "`, then `".join(remedy) + "`"] if remedy else [])]))
+            f"{_all_of(bags)}: expected at least one recording in which B or βe converges",
+            *told, *([f"`{remedy[0]}` finds what the model lacks"] if remedy else [])]))
     proposals = [proposed(symbol, found, rate, least)
                  for symbol, found in healthy.items() if found]
     if unfit:
-        told.append(f"the model does not fit {len(unfit)} of {len(bags)} recordings "
-                    f"({', '.join(map(str, unfit))}): there B and βe are by least squares on the "
-                    "balances, as the alarms judge them")
+        of = "" if len(unfit) == len(bags) else f" ({', '.join(map(str, unfit))})"
+        told.append(f"the model does not fit {len(unfit)} of {len(bags)} recordings{of}: what is "
+                    "in doubt there is by least squares on the balances, as the alarms judge it")
         if remedy:
             told += ["the diagnosed model brings narrower limits:",
                      *(f"  {command}" for command in remedy)]
@@ -73,9 +74,9 @@ def thresholds(bags: tuple[Path, ...], config: Path | None, rate: float, least: 
             told += ["what is left out shows in a comparison of the next recording (NOW) with "
                      "these, by the config that init drafted:",
                      f"  eha-monitor {shlex.join(words)}"]
-    _show(proposals, told, seconds, settings)
+    _show(proposals, told, seconds, settings, len(bags))
     if json_file:
-        write_json(json_file, _tree(proposals, told, seconds))
+        write_json(json_file, _tree(proposals, told, seconds, len(bags)))
         click.echo(f"written: {json_file}")
     if config_file:
         write_text(config_file, _config(proposals, settings, config, seconds))
@@ -97,7 +98,8 @@ def _healthy(bags, settings):
     from eha_monitor.recordings.read import read_recording
 
     load_runtime()
-    found, told, unfit, seconds = {"B": [], "beta_e": []}, [], [], []
+    found, unfit, seconds = {"B": [], "beta_e": []}, [], []
+    left_out: dict[tuple[str, str], list[Path]] = {}
     for bag in bags:
         with working(f"estimating {bag}"):
             recording = read_recording(bag, settings)
@@ -115,10 +117,17 @@ def _healthy(bags, settings):
             if symbol in answer.model.tainted:
                 why = "it is not determined while the model does not fit" + (
                     ", or not long enough" if symbol not in answer.doubted else "")
-            told.append(f"{bag}: {SYMBOLS.get(symbol, symbol)} is left out: {why}")
+            left_out.setdefault((symbol, why), []).append(bag)
         if answer.model.status == "mismatch":
             unfit.append(bag)
+    told = [f"{f'all {len(bags)}' if len(some) == len(bags) > 1 else ', '.join(map(str, some))}: "
+            f"{SYMBOLS.get(symbol, symbol)} is left out: {why}"
+            for (symbol, why), some in left_out.items()]
     return found, told, unfit, float(np.median(seconds))
+
+
+def _all_of(bags) -> str:
+    return str(bags[0]) if len(bags) == 1 else f"{bags[0]} to {bags[-1]}"
 
 
 def _remedy(unfit, bags, config) -> list[str]:
@@ -132,10 +141,10 @@ def _remedy(unfit, bags, config) -> list[str]:
          "judged.yaml"])]
 
 
-def _show(proposals, told, seconds, settings) -> None:
+def _show(proposals, told, seconds, settings, given) -> None:
     from eha_monitor.commands.table import console, show_paper, table
     from eha_monitor.estimation.results import units_of
-    from eha_monitor.quantity import SYMBOLS, quantity
+    from eha_monitor.quantity import SYMBOLS, quantity, share
 
     to = console()
     units = units_of(settings.rig.motion)
@@ -147,15 +156,15 @@ def _show(proposals, told, seconds, settings) -> None:
                          f"none (would be {value})" if limit.wide else value,
                          f"{limit.factor:.3g}", _rate(limit.rate))
     for one in proposals:
-        between = ("not known from one recording" if math.isnan(one.between)
-                   else f"{one.between:.2%}")
+        between = ("not known from one recording" if math.isnan(one.between) else
+                   share(one.between, 2) if one.between else "no more than that explains")
         to.print(f"{SYMBOLS.get(one.symbol, one.symbol)}: {len(one.healthy)} recording"
                       f"{'s' * (len(one.healthy) > 1)}, mean "
                       f"{quantity(one.mean, units[one.symbol], 4)}, spread within a recording "
-                      f"{one.within:.2%}, between recordings {between}", markup=False)
+                      f"{share(one.within, 2)}, between recordings {between}", markup=False)
     to.print(rows)
     show_paper(to)
-    for sentence in _sentences(proposals, told, seconds):
+    for sentence in _sentences(proposals, told, seconds, given):
         to.print(sentence, markup=False, soft_wrap=sentence.startswith("  "))  # may be copied
 
 
@@ -165,9 +174,11 @@ def _rate(rate: float) -> str:
     return f"{rate:.2%} of recordings" if rate >= 1e-4 else "less than 0.01 % of recordings"
 
 
-def _sentences(proposals, told, seconds) -> list[str]:
-    """Return what a person must know before the limits are used."""
+def _sentences(proposals, told, seconds, given) -> list[str]:
+    """Return what a person must know before the limits are used, of so many given recordings."""
+    from eha_monitor.health.proposal import WIDE
     from eha_monitor.quantity import SYMBOLS
+    from eha_monitor.words import listed
 
     said = [*told]
     for one in proposals:
@@ -178,26 +189,32 @@ def _sentences(proposals, told, seconds) -> list[str]:
         if n == 1:
             said.append(f"{name}: one recording does not show how much healthy recordings differ "
                         "(temperature, load, motion), so no false-alarm rate can be given: the "
-                        "limits are the paper's, scaled to this value. Record four more, on "
-                        "other days")
+                        "limits are the paper's, scaled to this value. "
+                        + (f"{given - 1} of the {given} recordings were left out (above)"
+                           if given > 1 else "Record four more, on other days"))
         elif one.more:
-            said.append(f"{name}: {n} recordings give limits that watch nothing; about {one.more} "
-                        "with this spread would bring them within a factor of 3. Those beyond it "
-                        "are not written (null)")
-        elif n < 5:
-            said.append(f"{name}: {n} recordings are few for reliable limits; record five or "
-                        "more, on other days and at other oil temperatures")
+            wide = listed([limit.key for limit in one.limits if limit.wide])
+            said.append(f"{name}: no {wide}, which would be more than a factor of {WIDE:g} from "
+                        f"the mean and watch nothing; {one.more} recordings with this spread "
+                        "would be enough for every limit")
+        elif n < FEW:
+            few = f"{n} recordings are few for reliable limits"
+            said.append(f"{name}: {few}; {given - n} of the {given} were left out (above)"
+                        if given >= FEW else
+                        f"{name}: {few}; record {FEW} or more, on other days and at other oil "
+                        "temperatures")
     said.append(f"Rates are per further healthy recording of about {seconds:.0f} s, made like "
                 "these; conditions that none of these covers (another oil, another load) are not "
                 "included.")
     return said
 
 
-def _tree(proposals, told, seconds) -> dict:
+def _tree(proposals, told, seconds, given) -> dict:
     from eha_monitor.api.answer import finite
 
-    return finite({"schema": SCHEMA, "recording_s": seconds, "notes": _sentences(
-        proposals, told, seconds), "proposals": {one.symbol: asdict(one) for one in proposals}})
+    return finite({"schema": SCHEMA, "recording_s": seconds,
+                   "notes": _sentences(proposals, told, seconds, given),
+                   "proposals": {one.symbol: asdict(one) for one in proposals}})
 
 
 def _config(proposals, settings, config, seconds: float) -> str:

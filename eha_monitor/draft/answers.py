@@ -8,6 +8,7 @@ from math import pi
 from pydantic_core import PydanticCustomError
 
 from eha_monitor.errors import InputError
+from eha_monitor.quantity import quantity
 from eha_monitor.settings.channels import CHANNELS, unit_of
 from eha_monitor.settings.rig import Rig
 from eha_monitor.units import TURNING, to_si
@@ -21,6 +22,16 @@ SHEET = {"bore": ("m", "bore of the cylinder"), "rod": ("m", "diameter of the ro
          "spring_rest": ("m", "position at which that spring is relaxed")}
 SIGNED = {"inclination": 0.5001 * pi, "spring_rest": 10.0}  # largest, either sign
 SUCH_AS = {"inclination": "20 deg", "spring_rest": "40 mm"}
+# Smallest and largest of any actuator that turns or travels, SI, and how a person writes one: what
+# lies outside has lost its unit.  Zero is no oil, no leak, no source.
+POSSIBLE = {"bore": (1e-3, 2.0, "40 mm"), "rod": (1e-3, 2.0, "25 mm"),
+            "stroke": (1e-4, 50.0, "200 mm"), "line_volume": (1e-9, 1.0, "10 cm^3"),
+            "area_1": (1e-7, 4.0, "5.05 cm^2"), "area_2": (1e-7, 4.0, "5.05 cm^2"),
+            "volume_1": (1e-9, 50.0, "68.5 cm^3"), "volume_2": (1e-9, 50.0, "68.5 cm^3"),
+            "mass": (1e-6, 1e6, "20 kg"), "pump_displacement": (1e-10, 1e-2, "1.6 cm^3/rev"),
+            "charge_pressure": (1e3, 1e8, "20 bar"), "ambient_pressure": (1e3, 1e8, "1 bar"),
+            "leakage": (1e-18, 1e-6, "5e-13"), "makeup_conductance": (1e-18, 1e-6, "1e-13"),
+            "spring": (1.0, 1e12, "8000 N/m")}
 # Questions with a few answers; the config's numbers, effects and units follow from them.
 CHOICES = {
     "machine": ("double_rod", "two_pumps", "accumulator", "valve", "force"),
@@ -111,7 +122,12 @@ def answers_of(given: tuple[str, ...]) -> Answers:
         key = key.removeprefix("rig.")
         rig[key] = _absolute(value) if key in _PRESSURES else value
         checked(key, rig[key])
-    return Answers(rig, channels)
+    answers = Answers(rig, channels)
+    bore, rod = answers.number("bore"), answers.number("rod")
+    if bore is not None and rod is not None and not rod < bore:
+        raise InputError(f"--set rod={rig['rod']}: expected a rod thinner than the bore of "
+                         f"{rig['bore']}")
+    return answers
 
 
 def _absolute(text: str) -> str:
@@ -158,7 +174,23 @@ def checked(key: str, text: str, unit: str = "") -> float | None:
                              f"such as '{SUCH_AS[key]}', got '{text}'")
     elif not unit and not number >= 0:
         raise InputError(f"--set {key}: expected at least 0 {si}, got '{text}'")
+    if key in POSSIBLE and not unit and number:
+        low, high, such_as = POSSIBLE[key]
+        if not low <= number <= high:
+            unit_lost = f"; a number alone is in {si}" if _alone(text) else ""
+            raise InputError(f"--set {key}: expected {words.partition(';')[0]} from "
+                             f"{quantity(low, si)} to {quantity(high, si)}, such as '{such_as}', "
+                             f"got '{text}'{unit_lost}")
     return number
+
+
+def _alone(text: str) -> bool:
+    """Tell whether a text is a number without a unit."""
+    try:
+        float(text)
+        return True
+    except ValueError:
+        return False
 
 
 def to_si_of(key: str, text: str, unit: str, words: str) -> float:

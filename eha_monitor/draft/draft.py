@@ -18,6 +18,7 @@ from eha_monitor.draft.rig import (
     rig_entries,
     seen_in,
     tolerances,
+    too_short,
 )
 from eha_monitor.draft.sources import Source
 from eha_monitor.errors import InputError
@@ -25,7 +26,7 @@ from eha_monitor.plausibility.judge import Plausibility, plausibility_of
 from eha_monitor.recordings.importing import read_table
 from eha_monitor.recordings.read import read_recording
 from eha_monitor.recordings.recording import ChannelFinding, Recording
-from eha_monitor.settings.channels import check_unit, unit_of
+from eha_monitor.settings.channels import check_unit, counted_from, unit_of
 from eha_monitor.settings.load import settings_from_tree, text_tree
 from eha_monitor.settings.monitor import Settings
 from eha_monitor.settings.rig import Rig
@@ -195,6 +196,8 @@ def drafted(source: Source, answers: Answers) -> Draft:
         found = better
     # Once more, since the last round may have left something to ask.
     settings, text, lines, recording, problem = _read(source, found, answers, checks, step)
+    if recording is not None and (short := too_short(answers, seen_in(recording), found.rotary)):
+        raise InputError(short)
     return Draft(text, found, settings, recording, _open(found, lines),
                  plausibility_of(recording, settings), problem)
 
@@ -359,7 +362,7 @@ def _one(found: Map, finding: ChannelFinding, settings: Settings) -> Map | None:
             if "charge pressure" in finding.finding and (
                     "charge_pressure" not in settings.rig.model_fields_set):
                 return found
-            if not guess.unit or (guess.sure and "gauge" in guess.unit):
+            if not guess.unit or counted_from(guess.unit):
                 return None
             found = found.with_channel(name, replace(
                 guess, unit=f"{guess.unit} gauge", why=_told(finding)))
@@ -392,16 +395,23 @@ def _told(finding: ChannelFinding) -> str:
 
 def as_answered(found: Map, answers: Answers) -> Map:
     """Take the pressures as ``pressures`` was answered, unless their unit says it itself."""
-    if answers.rig.get("pressures") == "gauge":
-        for name in absolute(found):
+    answered = answers.rig.get("pressures")
+    for name in ("p1", "p2") if answered else ():
+        guess = found.channels.get(name)
+        said = counted_from(guess.unit) if guess else ""
+        if said and said != answered:
+            raise InputError(f"--set pressures={answered}: '{guess.candidate.shown}' is in "
+                             f"'{guess.unit}', which is {said}; expected pressures={said}, or "
+                             f"another {name}.unit")
+        if guess and guess.unit and not said and answered == "gauge":
             found = _as_gauge(found, name, "answered: gauge")
     return found
 
 
 def absolute(found: Map) -> list[str]:
-    """Return the pressures whose unit does not say that they are gauge pressures."""
+    """Return the pressures whose unit does not say what it is counted from."""
     return [name for name in ("p1", "p2") if name in found.channels
-            and found.channels[name].unit and "gauge" not in found.channels[name].unit]
+            and found.channels[name].unit and not counted_from(found.channels[name].unit)]
 
 
 def _as_gauge(found: Map, name: str, why: str) -> Map:
@@ -414,8 +424,11 @@ def not_absolute(found: Map, recording: Recording, answers: Answers) -> tuple[Ma
 
     A chamber that cavitates is below it for moments: a hundredth of the samples must be.
     """
-    low = {name: float(np.nanquantile(recording.get(name), 0.01)) for name in absolute(found)
-           if name in recording.channels and np.isfinite(recording.get(name)).any()}
+    open_ = absolute(found)
+    low = {name: float(np.nanquantile(recording.get(name), 0.01)) for name in ("p1", "p2")
+           if name in recording.channels and np.isfinite(recording.get(name)).any()
+           and (guess := found.channels.get(name)) and guess.unit
+           and counted_from(guess.unit) != "gauge"}
     if not low or min(low.values()) > BELOW:
         return found, ""
     name = min(low, key=low.get)
@@ -423,6 +436,8 @@ def not_absolute(found: Map, recording: Recording, answers: Answers) -> tuple[Ma
            "at rest is not below 1 bar")
     if answers.rig.get("pressures") == "absolute":
         return found, f"{why}: are these gauge pressures?  --set pressures=gauge"
-    for name in low:
+    if name not in open_:
+        return found, f"{why}: is '{found.channels[name].unit}' right?"
+    for name in open_:
         found = _as_gauge(found, name, f"values: {why}")
     return found, ""

@@ -10,6 +10,7 @@ import numpy as np
 
 from eha_monitor.draft.answers import Answers
 from eha_monitor.errors import InputError
+from eha_monitor.quantity import quantity
 from eha_monitor.settings.rig import Rig
 
 FITS = 0.97  # share of the pump speed's variance that a gain must explain to be written
@@ -24,6 +25,7 @@ _TOLERANCES = {"area_1": (0.005, 0.01, 0.0), "area_2": (0.005, 0.01, 0.0),
                "position_gain": (0.03, 0.01, 0.0), "charge_pressure": (0.2, 0.1, 0.5),
                "leakage": (3.0, 3.0, 10.0), "makeup_conductance": (3.0, 3.0, 10.0)}
 _FACTORS = ("leakage", "makeup_conductance")
+LOADS = {"gravity": ("inclination",), "spring": ("spring", "spring_rest")}
 QUESTIONS = {
     "machine": "machine: double_rod (pump-controlled), two_pumps or accumulator (single rod), "
                "valve (cylinder behind a valve), force (axis with a measured force or torque)",
@@ -81,12 +83,13 @@ def rig_entries(answers: Answers, seen: Seen, rotary: bool, name: str) -> list[E
     rotary = answers.turns(rotary)
     area_1, area_2 = _areas(answers, rotary)
     entries = [
-        Entry("name", _text(given.pop("name", name)), "from the file's name"),
+        Entry("name", _text(given.pop("name", name)), "answered" if "name" in answers.rig else
+              "from the file's name; --set name='Press 3' gives another"),
         Entry("motion", given.get("motion", "rotary" if rotary else "linear"),
               "answered" if "motion" in given else "header: units of the position"),
         area_1, area_2, *_volumes(answers, seen, rotary, area_1, area_2),
         _told(answers, "mass", "moment of inertia", "3 kg m^2") if rotary else
-        _told(answers, "mass", "moving mass", "20 kg"),
+        _told(answers, "mass", "moving mass", "20 kg", _weightless(answers)),
         _told(answers, "pump_displacement", "of the pump", "1.6 cm^3/rev", seen_pump(
             answers, area_1, seen)),
         _gain(answers, seen),
@@ -186,6 +189,17 @@ def zero_of(answers: Answers, seen: Seen) -> tuple[str, str]:
     return "middle", ""
 
 
+def too_short(answers: Answers, seen: Seen, rotary: bool = False) -> str:
+    """Return in words that x moves over more than the whole stroke that was answered, or ""."""
+    stroke = answers.number("stroke")
+    if not stroke or not seen.span or seen.span[1] - seen.span[0] <= 1.03 * stroke:
+        return ""
+    moved, unit = seen.span[1] - seen.span[0], "rad" if rotary else "m"
+    return (f"--set stroke={answers.rig['stroke']}: expected at least the "
+            f"{quantity(moved, unit, 3)} that x moves in the recording; or is x in another unit "
+            "(x.unit)?")
+
+
 def _beyond(zero: str, stroke: float, span: tuple[float, float]) -> bool:
     below, above = _SHARES[zero]
     return span[0] < -(below + 0.03) * stroke or span[1] > (above + 0.03) * stroke
@@ -233,7 +247,14 @@ def _told(answers: Answers, key: str, words: str, example: str, hint: str = "") 
     default = Rig.model_fields[key].default
     if key == "pump_displacement":
         return Entry(key, "null", f"{words}, such as {example}{hint}", True)
-    return Entry(key, number(default), f"{words}, such as {example}; this is the {PAPER}", True)
+    return Entry(key, number(default), f"{words}, such as {example}; this is the {PAPER}{hint}",
+                 True)
+
+
+def _weightless(answers: Answers) -> str:
+    """Return that a weight waits for its mass, in words, or ""."""
+    return ("; until told, the config has no load (gravity was answered)"
+            if answers.rig.get("load") == "gravity" else "")
 
 
 def seen_pump(answers: Answers, area: Entry, seen: Seen) -> str:
@@ -295,7 +316,7 @@ def effects_of(answers: Answers, entries: list[Entry], seen: Seen) -> list[Entry
                      if entry.key in ("area_1", "area_2", "volume_1", "volume_2", "mass")}
     load, slope, spring = (answers.rig.get("load"), answers.number("inclination"),
                            answers.number("spring"))
-    if load == "gravity" and slope is not None:
+    if load == "gravity" and slope is not None and "mass" in answers.rig:
         weight = of["mass"] * GRAVITY * sin(slope)
         found.append(Entry("constant_load", f"{{F_0: {number(weight)}}}", "answered: weight of "
                            f"the mass at {answers.rig['inclination']}, N against growing x"))
@@ -333,14 +354,17 @@ def open_choices(answers: Answers, entries: list[Entry], seen: Seen, gauge_known
     """Return key and question of each choice that neither a person nor the recording has made."""
     told = answers.rig
     asked = [key for key in ("machine", "load") if key not in told]
-    asked += [key for load, key in (("gravity", "inclination"), ("spring", "spring"))
-              if told.get("load") == load and key not in told]
+    wanted = [key for key in LOADS.get(told.get("load"), ()) if key not in told]
+    asked += wanted
     if "stroke" in told and not ("volume_1" in told and "volume_2" in told) and (
             not zero_of(answers, seen)[1]):
         asked.append("zero")
     if "pressures" not in told and not gauge_known:
         asked.append("pressures")
-    found = [(key, QUESTIONS[key]) for key in asked if not answers.lacks(key)]
+    found = [(key, QUESTIONS[key] + (f"; until told, the config has no load ({told['load']} was "
+                                     "answered)" if key in wanted and key != "spring_rest" else
+                                     "; x = 0 until told" if key == "spring_rest" else ""))
+             for key in asked if not answers.lacks(key)]
     turns = any(entry.key == "motion" and entry.value == "rotary" for entry in entries)
     outside = "" if answers.lacks("zero") else no_such_zero(answers, seen, turns)
     return [*(one for one in found if one[0] != "zero"), ("zero", outside)] if outside else found

@@ -50,19 +50,23 @@ _TIMES = {"s": "s", "sec": "s", "sek": "s", "ms": "ms", "us": "us", "µs": "us",
           "ns": "ns", "min": "min", "h": "hour"}
 # What a last word of a name without brackets may be as a unit; single letters are not.
 _TRAILING = {"mm", "cm", "um", "µm", "bar", "mbar", "barg", "bara", "psi", "psig", "kpa", "mpa",
-             "pa", "rpm", "upm", "kn", "deg", "degc", "ms", "us", "ns", "rads", "percent",
+             "pa", "rpm", "upm", "kn", "deg", "degc", "degf", "ms", "us", "ns", "rads", "percent",
              "pct", "mmps",
              "counts", "raw", "sek", "inch"}
 _SAID = {"rads": "rad/s", "mpa": "MPa", "kpa": "kPa", "pa": "Pa", "kn": "kN", "mmps": "mm/s",
          "upm": "rpm", "degc": "degC", "1/min": "rpm", "u/min": "rpm", "min-1": "rpm",
          "tr/min": "rpm", "min^-1": "rpm", "barg": "bar gauge", "psig": "psi gauge",
-         "bar(g)": "bar gauge",
-         "°c": "degC", "c": "degC", "nm": "N*m", "zoll": "inch", "bar": "bar", "mm": "mm"}
+         "deg c": "degC", "deg f": "degF", "°c": "degC", "c": "degC", "nm": "N*m",
+         "zoll": "inch", "bar": "bar", "mm": "mm"}
 _KINDS = {"meter": "position", "meter / second": "velocity", "radian / second": "turning",
           "radian": "angle", "kilogram / meter / second ** 2": "pressure",
           "kilogram * meter / second ** 2": "force",
           "kilogram * meter ** 2 / second ** 2": "torque", "degC": "temperature"}
-_BRACKETS = re.compile(r"\s*[\[({<]\s*([^\[\](){}<>]{1,12}(?:\(g\))?)\s*[\])}>]\s*$")
+_BRACKETS = re.compile(
+    r"\s*[\[({<]\s*([^\[\](){}<>]{1,12}(?:\((?:g|a|abs|rel|ü)\))?)\s*[\])}>]\s*$")
+# Behind a unit of pressure: what it is counted from.
+_OVER = ("g", "a", "gauge", "abs", "absolute", "rel", "relative", "ü")
+_OIL = ("oil", "oel", "ol", "huile", "aceite", "olio", "fluid", "tank")  # what is warm
 _AFTER = re.compile(r"(?:\s+in\s+|\s*/\s*|,\s*)([^\s/,]{1,6}(?:/[^\s/,]{1,4})?)$")
 
 
@@ -131,15 +135,22 @@ def parted(name: str) -> tuple[str, str, str]:
             if kind:
                 return name[:match.start()].strip(" _-"), unit, kind
     words = re.split(r"[\s_.\-]+", name.strip())
+    if len(words) > 2 and words[-1].casefold() in _OVER and (
+            words[-2].casefold() in _TRAILING):  # p_A bar g
+        unit, kind = kind_of(" ".join(words[-2:]))
+        if kind == "pressure":
+            return " ".join(words[:-2]), unit, kind
     if words and (words[-1].casefold() in _TRAILING or words[-1] == "%") and (
             len(words) > 1 or words[0] not in ("pA", "pa", "PA", "in")):
         unit, kind = kind_of(words[-1])
         if kind:
             rest = " ".join(words[:-1])
             return rest or name, unit, kind
-    if len(words) > 1 and words[-1] in ("s", "m", "N", "C"):
+    if len(words) > 1 and words[-1] in ("s", "m", "N", "C", "K"):
         unit, kind = kind_of(words[-1])
-        if kind == _quantity(words_of(" ".join(words[:-1]))):  # t_s, x_m, F_N; p_s is no time
+        bare = words_of(" ".join(words[:-1]))
+        warm = kind == "temperature" and not set(bare).isdisjoint(_OIL)
+        if warm or kind == _quantity(bare):  # t_s, x_m, F_N, oil_C; p_s is no time
             return " ".join(words[:-1]), unit, kind
     return name, "", ""
 
@@ -171,6 +182,8 @@ def _quantity(words: list[str]) -> str:
     joined = "".join(words)
     if "temps" in words:
         return "time"
+    if "t" in words and not set(words).isdisjoint(_OIL):  # T_oil
+        return "temperature"
     for quantity, parts in _LONG.items():
         if any(part in joined for part in parts):
             # A pump's speed is of its shaft, whatever it is called; "velocity" is the piston's.

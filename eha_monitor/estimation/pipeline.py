@@ -94,12 +94,13 @@ def estimate_held(recording: Recording, settings: Settings, size: int | None = N
         beside = ()
     elif not beside:
         beside = tuple(along(recording, settings))
+    model = within(tested_model(status, (one, two), beside),
+                   beyond(ranges_of(settings), sample_of(recording).channels,
+                          recording.sample_time, settings.rig.position_gain), 0.0)
     return Estimate(
-        recording, settings, one, two, joint,
-        within(tested_model(status, (one, two), beside),
-               beyond(ranges_of(settings), sample_of(recording).channels, recording.sample_time,
-                      settings.rig.position_gain), 0.0),
-        tuple(sorted(events, key=lambda event: event.time_s)), inputs.noise,
+        recording, settings, one, two, joint, model,
+        tuple(sorted((as_it_stands(event, model, (one, two)) for event in events),
+                     key=lambda event: event.time_s)), inputs.noise,
         warnings=tuple(warnings_of(inputs, settings)), beside=beside)
 
 
@@ -201,7 +202,8 @@ def stage_result(stage: Stage, out: list[np.ndarray], seen: Changes, inputs: Inp
     if first is not None:
         events.append(Event(first * inputs.dt, stage.key,
                             f"{SYMBOLS[stage.parameter]} converged at "
-                            f"{with_uncertainty(value[first], stddev[first], unit)}"))
+                            f"{with_uncertainty(value[first], stddev[first], unit)}",
+                            stage.parameter))
     events += change_events(seen, inputs.dt, stage, unit)
     return StageResult(stage.key, parameter, time_of(recording), value, stddev, out[0], out[1],
                        out[6] if stage is ONE else out[2], innovation, sigma, verdict,
@@ -219,12 +221,26 @@ def change_events(seen: Changes, dt: float, stage: Stage, unit: str) -> list[Eve
                      else f" in {len(run)} steps from t = {run[0, 0] * dt:.2f} s")
             events.append(Event(float(run[-1, 0] * dt), stage.key,
                                 f"{symbol} changed from {quantity(run[0, 1], unit)} to "
-                                f"{quantity(run[-1, 2], unit)}{since}"))
+                                f"{quantity(run[-1, 2], unit)}{since}", stage.parameter))
     if found > len(changes):
         events.append(Event(float(changes[-1, 0] * dt), stage.key,
                             f"{found - len(changes)} further changes of {symbol} are not "
                             "listed"))
     return events
+
+
+def as_it_stands(event: Event, model: ModelStatus, stages: tuple[StageResult, StageResult]
+                 ) -> Event:
+    """Return an event that told a value, and that it does not stand where it does not."""
+    taint = model.tainted.get(event.parameter)
+    ended = {stage.estimate.name: stage.estimate for stage in stages}.get(event.parameter)
+    said = ""
+    if taint is not None and not taint.testing:
+        said = f"in doubt: {taint.reason.partition(' (')[0]}" + (
+            f"; {taint.instead.shown} by least squares stands instead" if taint.instead else "")
+    elif ended is not None and ended.status != "converged":
+        said = f"it did not stay so: {ended.status} at the end"
+    return replace(event, message=f"{event.message} ({said})") if said else event
 
 
 def first_converged(value: np.ndarray, stddev: np.ndarray, prior_stddev: float) -> int | None:
@@ -267,7 +283,7 @@ def hand_over(one: StageResult, settings: Settings, recording: Recording, events
                 start * inputs.dt, "two",
                 f"{'re-run' if start else 'runs'} with B = "
                 f"{with_uncertainty(one.value[last], one.stddev[last], unit)} handed over by "
-                "stage one"))
+                "stage one", "B"))
     return steps_to(n, rows, dampings), steps_to(n, rows, variances)
 
 

@@ -111,11 +111,15 @@ class StageResult:
 
 @dataclass(frozen=True)
 class Event:
-    """Something that a stage did: converged, handed over, re-ran, saw a change, was reset."""
+    """Something that a stage did: converged, handed over, re-ran, saw a change, was reset.
+
+    ``parameter`` : ``B`` or ``beta_e`` where the message tells a value of it.
+    """
 
     time_s: float
     stage: str
     message: str
+    parameter: str = ""
 
 
 @dataclass(frozen=True)

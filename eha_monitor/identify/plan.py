@@ -31,6 +31,7 @@ from eha_monitor.mismatch.policy import POLICY
 from eha_monitor.physics import signals as s
 from eha_monitor.physics.effects import CATALOGUE, NAMES
 from eha_monitor.physics.simulator import Simulator
+from eha_monitor.quantity import quantity
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings.monitor import Experiment as Bounds
 from eha_monitor.settings.monitor import Settings
@@ -48,6 +49,7 @@ WAIT = 0.3  # s at rest before a motion and after it
 PACE = 0.5  # of the limits of speed and acceleration on the way to where a motion begins
 ATTEMPTS = 5  # at a size that keeps the limits
 SMALLEST = 0.02  # of a motion's size: below, there is nothing left of it
+SEEN = 10.0  # standard deviations of the position's noise: a smaller motion shows nothing
 
 
 @dataclass(frozen=True)
@@ -335,8 +337,10 @@ class Planner:
                           b.total_time)
         if found is None:
             raise InputError(f"{self.source}: experiment: the limits allow no motion of at least "
-                             f"{SMALLEST:.0%} of the travel within {b.motion_time:g} s "
-                             f"from x = {position:g} m, expected wider ones")
+                             f"{SMALLEST:.0%} of the travel, and of "
+                             f"{quantity(SEEN * experiment.noise[0], 'm', 2)} "
+                             f"({SEEN:g} times the noise of the position), within "
+                             f"{b.motion_time:g} s from x = {position:g} m, expected wider ones")
         return found
 
     def best(self, contest: Contest, position: float, left: float) -> Planned | None:
@@ -357,18 +361,21 @@ class Planner:
                                  at_last=contest.expected(times(gram, often))[0],
                                  pair=(names[i], names[j]) if i != j else None,
                                  log_units=float(units[i, j])))
-        return self.choose(found) if found else None
+        # Where the limits leave no motion that shows, a rest alone is no experiment.
+        return self.choose(found) if any(moving(one.motion) for one in found) else None
 
     def within(self, contest: Contest, motion: Motion, position: float) -> Planned | None:
         """Return a motion at a size that keeps every limit; None where there is none.
 
         It must by the models of the likely structures, with B and beta_e off by what is not known.
         """
-        dt, share = contest.experiment.dt, 1.0
+        dt, share, least = contest.experiment.dt, 1.0, SEEN * contest.experiment.noise[0]
         recorded = contest.here is not None
         models = [fit for one in contest.structures[:SAFE_UNDER if recorded else 1]
                   for fit in around(one.fit, recorded)]
         for _ in range(ATTEMPTS):
+            if any(one.amplitude < least for one in moving(motion)):
+                return None
             x_d = self.led(demand_of(motion, dt), position, dt)
             if len(x_d) * dt > self.bounds.motion_time:
                 return None
@@ -414,6 +421,11 @@ class Planner:
                 "speed": peaks["speed"] / (MARGIN * b.speed),
                 "acceleration": peaks["acceleration"] / (MARGIN * b.acceleration),
                 "pressure": (peaks["pressure"] - charge) / (MARGIN * (b.pressure - charge))}
+
+
+def moving(motion: Motion) -> list[Segment]:
+    """Return the parts of a motion in which it moves."""
+    return [one for one in motion.segments.values() if one.kind != "rest"]
 
 
 def around(fit: Fit, recorded: bool) -> list[Fit]:

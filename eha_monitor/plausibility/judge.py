@@ -9,11 +9,12 @@ from math import log
 from typing import Any
 
 from eha_monitor import ties
+from eha_monitor.plausibility.held import held
 from eha_monitor.plausibility.mistakes import EVERYDAY, Mistake, mistakes_for
 from eha_monitor.plausibility.moments import Moments, moments_of
 from eha_monitor.plausibility.relations import Check, Reading, Source, checks, unexplained
 from eha_monitor.recordings.recording import ChannelFinding, Recording
-from eha_monitor.settings.channels import ATMOSPHERE, unit_of
+from eha_monitor.settings.channels import ATMOSPHERE, CHANNEL_UNITS, unit_of
 from eha_monitor.settings.load import merge, settings_from_tree
 from eha_monitor.settings.monitor import Settings
 
@@ -89,7 +90,8 @@ def plausibility_of(recording: Recording, settings: Settings) -> Plausibility:
                   for mistake in best.mistakes)
     if found:
         return Plausibility(found, any(set(one.channels) != {"v"} for one in found))
-    return Plausibility((*gauge(moments, settings), *stuck(moments), *unsigned(moments)), False)
+    return Plausibility((*gauge(moments, settings), *stuck(moments), *unsigned(moments),
+                         *held(recording)), False)
 
 
 def reading_of(moments: Moments, settings: Settings) -> Reading:
@@ -218,8 +220,10 @@ def mends_alike(ones: tuple[Mistake, ...], others: tuple[Mistake, ...]) -> bool:
 def duplicates(moments: Moments) -> tuple[ChannelFinding, ...]:
     """Return the channels that hold the same numbers as another."""
     return tuple(ChannelFinding(
-        f"{one} and {other} hold the same numbers: one of them is read from the other's column "
-        "or topic", "swapped", (one, other)) for one, other in moments.same)
+        f"{one} and {other} hold the same numbers"
+        f"{'' if CHANNEL_UNITS[one] == CHANNEL_UNITS[other] else ' in other units'}: one of them "
+        "is read from the other's column or topic", "swapped", (one, other))
+        for one, other in moments.same)
 
 
 def gauge(moments: Moments, settings: Settings) -> tuple[ChannelFinding, ...]:

@@ -1,25 +1,69 @@
 """Numbers of the config that least squares on the balances contradict, and what reads so.
 
+Each line says what to write, or to look at, at which key.
+
 F = M x'' + B x' + ... and A x' = D_p ω - ... give the moving mass and the pump's displacement of a
 recording.  A number of the data sheet is rarely wrong by more than its tolerance; a filter on the
 pressures, τ late, takes B·τ from the mass, and areas that are off by a factor take it from both.
 """
 
+from collections.abc import Sequence
 from itertools import permutations
-from math import hypot, log
+from math import hypot, inf, log
 
 from eha_monitor.balances.baseline import BalanceFit, Baseline, Term
+from eha_monitor.plausibility.judge import units_in
 from eha_monitor.plausibility.mistakes import PRESSURES
 from eha_monitor.quantity import number, quantity, with_uncertainty
-from eha_monitor.settings.rig import Rig
+from eha_monitor.settings.monitor import Settings
+from eha_monitor.settings.rig import rounded
 
 APART = 2.0  # deviations of both numbers from which on they contradict each other
 OPEN = 0.05  # of a balance: with more unexplained, its mass may be something else
 LATEST = 0.03  # s: later than that no filter makes a pressure
 
 
-def against_sheet(first: Baseline, rig: Rig) -> list[str]:
-    """Return what a recording's least squares say against the mass and the pump of the config."""
+def against_sheet(first: Baseline, settings: Settings) -> list[str]:
+    """Return what a recording's least squares say against mass, pump and load of the config."""
+    return [*_sizes(first, settings), *load_against((first,), settings)]
+
+
+def load_against(views: Sequence[Baseline], settings: Settings) -> list[str]:
+    """Return what is to be written where a constant load is not the config's: one line, or none.
+
+    Of several recordings only where all have the same load; the first is told.
+    F = A1 p1 - A2 p2 = ... + F_0: zeros of the pressures that are off read as a load, and so does
+    the air that presses on the rod's own section, p_a (A1 - A2).
+    """
+    if not views or any(one.force is None or not one.force.error_share < OPEN for one in views):
+        return []
+    rig, first, effects = settings.rig, views[0], settings.effects
+    loads = [one.force["F_0"].value for one in views]
+    if len(views) > 1 and max(loads) - min(loads) > APART * hypot(
+            first.force["F_0"].stddev, first.leaning):
+        return []
+    load, given = first.force["F_0"], effects.get("constant_load", {}).get("F_0", 0.0)
+    more = load.value - given
+    if not load.determined or abs(more) <= APART * hypot(load.stddev, first.leaning):
+        return []
+    had = quantity(given, load.unit, 4) if given else "none"
+    said = (f"constant load {with_uncertainty(load.value, load.stddev, load.unit)}, where the "
+            f"config has {had}: if something weighs or pulls on the rod, write effects: "
+            f"{{constant_load: {{F_0: {rounded(load.value):g}}}}}")
+    if not (first.leaning and rig.area_1 and rig.area_2):
+        return [said]
+    high, low = ("high", "low") if more > 0 else ("low", "high")
+    zeros = [f"{name} that reads {abs(more) / area / 1e5:.2g} bar too {way}"
+             for name, area, way in (("p1", rig.area_1, high), ("p2", rig.area_2, low))]
+    air = rig.ambient_pressure * (rig.area_1 - rig.area_2)
+    rod = (f"; {quantity(air, load.unit, 3)} is what the open air does to the end of the rod"
+           if abs(air) > APART * load.stddev and rig.motion == "linear" else "")
+    return [f"{said}; a {zeros[0]}, or a {zeros[1]}, reads so too (offset of the channel){rod}"]
+
+
+def _sizes(first: Baseline, settings: Settings) -> list[str]:
+    """Return what the mass and the pump are by a recording, where the config has others."""
+    rig = settings.rig
     mass, area = rig.tolerance.mass, rig.tolerance.area_1
     heavy = _off(first.force, "M", rig.mass, hypot(mass, area))
     pumped = _off(first.flow, "D_p", rig.pump_displacement,
@@ -33,7 +77,8 @@ def against_sheet(first: Baseline, rig: Rig) -> list[str]:
             return [f"{_both(*heavy)}, {_both(*pumped)}: piston areas that are {size} read so"]
     found = []
     if heavy:
-        found.append(_both(*heavy) + (_unit(*heavy, hypot(mass, area))
+        written = units_in(settings).get("p1")
+        found.append(_both(*heavy) + (_unit(*heavy, hypot(mass, area), written)
                                       or _late(first.force, *heavy)))
     if pumped:
         found.append(f"{_both(*pumped)}: is it right, and a revolution not taken for a radian?  "
@@ -62,12 +107,16 @@ def _both(term: Term, given: float) -> str:
             f"config has {quantity(given, term.unit)}")
 
 
-def _unit(term: Term, given: float, tolerance: float) -> str:
-    """Return which unit of the pressures, taken for another, makes that mass, where one does."""
+def _unit(term: Term, given: float, tolerance: float, written: float | None) -> str:
+    """Return which unit of the pressures, taken for another, makes that mass, where one does.
+
+    ``written`` is the unit that the config gives, Pa; no other was taken for the right one.
+    """
     spread = hypot(_share(term), tolerance)
-    off, taken, meant = min(
-        (abs(log(given / term.value * PRESSURES[taken] / PRESSURES[meant])), taken, meant)
-        for taken, meant in permutations(PRESSURES, 2))
+    mixed = [(abs(log(given / term.value * PRESSURES[taken] / PRESSURES[meant])), taken, meant)
+             for taken, meant in permutations(PRESSURES, 2)
+             if not written or abs(log(PRESSURES[taken] / written)) < 1e-3]
+    off, taken, meant = min(mixed, default=(inf, "", ""))
     return f": pressures in {meant} that are taken for {taken} read so" if (
         off < APART * spread) else ""
 

@@ -208,13 +208,14 @@ def _figure(found: History, view: tuple[float, float], lines: list[tuple[float, 
             panel.add(fig.Curve(found.time[here], value[here], words, colour, 0.0, marker="circle",
                                 size=7.0, face=face, error_width=1.0,
                                 y_error=np.minimum(spread[here], 9 * (top - bottom))))
-    for outside, place, marker in ((value >= top, 0.985, "triangle-up"),
-                                   (value <= bottom, 0.015, "triangle-down")):
+    for outside, place, marker in ((value >= top, 0.965, "triangle-up"),
+                                   (value <= bottom, 0.035, "triangle-down")):
         if outside.any():
             panel.add(fig.Curve(found.time[outside], np.full(outside.sum(), bottom + place * (
                 top - bottom)), f"outside the plot ({int(outside.sum())})", colour, 0.0,
                 marker=marker, size=9.0, face="#ffffff"))
-    add_limits(panel, value, lines, found.unit)
+    first, end = panel.ends("x")
+    add_limits(panel, value, lines, found.unit, (found.time - first) / (end - first))
     _add_outlook(panel, found)
     words = (f"{title_of(found.name)} of {len(value)} recordings against the date, {which}; "
              f"{trend_words(found)} {outlook_words(found)}")

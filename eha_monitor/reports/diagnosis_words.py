@@ -310,8 +310,8 @@ def removed(fit: SignalFit) -> float:
 def certainty(found: Diagnosis) -> str:
     """Return what speaks for the other verdicts, and where a probability is from, as sentences."""
     rest = [f"{words}: {probability(found.probability[key])}" for key, words in
-            (("consistent", "that the model is complete"),
-             ("unexplained", "that an unidentified effect is missing"))
+            (("consistent", "that the config's own model lacks nothing"),
+             ("unexplained", "that something is missing and was not identified"))
             if math.isfinite(found.probability.get(key, math.nan))]
     if not rest:
         return ""

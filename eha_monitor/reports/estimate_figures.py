@@ -193,16 +193,19 @@ def _parameter_panel(one: _Watched, part: slice, view: tuple[float, float], time
     return panel
 
 
-def add_limits(panel: fig.Panel, value: np.ndarray, lines: list[tuple[float, str]], unit: str
-               ) -> None:
-    """Add the limits that fall into a panel, each with its name where ``value`` leaves room.
+def add_limits(panel: fig.Panel, value: np.ndarray, lines: list[tuple[float, str]], unit: str,
+               along: np.ndarray | None = None) -> None:
+    """Add the limits that fall into a panel, each with its name where ``value`` leaves most room.
 
     Parameters
     ----------
     panel : with limits of its y axis.
     value : (n,) what is shown, SI, in order of time.
     lines : limit, SI, and its words; ``unit`` is theirs.
+    along : (n,) where each is shown, as a share of the width; evenly spread without it.
     """
+    if along is None:
+        along = np.linspace(0.0, 1.0, len(value))
     bottom, top = panel.ends("y")
     taken: list[float] = []  # heights of labels, share of the picture
     for place, label in lines:
@@ -212,22 +215,38 @@ def add_limits(panel: fig.Panel, value: np.ndarray, lines: list[tuple[float, str
         colour = fig.WARN_LINE if warn else fig.ERROR_LINE
         panel.add(fig.Level(place, "", colour, 1.3, "dash" if warn else "dot"))
         # Labels stand apart where a WARN and an ERROR limit lie close together.
-        above = label in ("WARN below", "ERROR above", "limit, above")
-        height = (place - bottom) / (top - bottom) + (0.025 if above else -0.025)
-        if any(abs(height - other) < 0.045 for other in taken):
+        usual = label in ("WARN below", "ERROR above", "limit, above")
+        share_up, places = (place - bottom) / (top - bottom), []
+        for above, left in ((usual, False), (usual, True), (not usual, False), (not usual, True)):
+            height = share_up + (0.025 if above else -0.025)
+            if 0.0 < height < 1.0 and not any(abs(height - other) < 0.045 for other in taken):
+                hidden = _hidden(value - place, along, top - bottom, above, left)
+                places.append((hidden, len(places), height, above, left))
+        if not places:
             continue
+        *_, height, above, left = min(places)
         taken.append(height)
-        left = not _clear(value, place, top - bottom, -1) and _clear(value, place, top - bottom, 1)
         panel.add(fig.Text(0.0 if left else 1.0, place, f"{label} {quantity(place, unit)}", colour,
                            "left" if left else "right", "bottom" if above else "top", x_share=True,
                            shift=(4 if left else -4, 4 if above else -4)))
 
 
-def _clear(value: np.ndarray, place: float, height: float, end: int) -> bool:
-    """Whether the curve leaves room for a label at a limit, at the start (1) or the end (-1)."""
-    part = value[::end][: len(value) * 2 // 5]
-    part = part[np.isfinite(part)]
-    return not (np.abs(part - place) < 0.07 * height).mean() > 0.02 if part.size else True
+LABEL = (0.55, 0.09)  # of width and height of a picture on a phone, that a limit's name takes
+
+
+def _hidden(over: np.ndarray, along: np.ndarray, height: float, above: bool, left: bool) -> float:
+    """Return the share of a curve that a limit's name would hide, in steps that matter.
+
+    Parameters
+    ----------
+    over : (n,) the curve over the limit; ``height`` that of the picture, both SI.
+    along : (n,) where, as a share of the width.
+    """
+    up = (over if above else -over) / height
+    with np.errstate(invalid="ignore"):
+        there = (up > -0.01) & (up < LABEL[1]) & (
+            along < LABEL[0] if left else along > 1.0 - LABEL[0])
+    return round(float(there.mean()), 2) if len(there) else 0.0
 
 
 def limits_of(limits: Limits) -> list[tuple[float, str]]:

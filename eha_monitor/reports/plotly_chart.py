@@ -197,9 +197,9 @@ def numbers(values: np.ndarray, exact: bool = False) -> dict[str, str]:
     """
     values = np.asarray(values, dtype=float)
     finite = values[np.isfinite(values)]
-    short = finite.size and not exact and float(np.spacing(np.float32(
-        np.abs(finite).max()))) <= _FINEST * float(np.ptp(finite))
-    with np.errstate(over="ignore"):
+    with np.errstate(over="ignore"):  # of a filter that has diverged, beyond what four bytes hold
+        short = finite.size and not exact and float(np.spacing(np.float32(
+            np.abs(finite).max()))) <= _FINEST * float(np.ptp(finite))
         raw = values.astype("<f4" if short else "<f8")
     return {"dtype": "f4" if short else "f8", "bdata": base64.b64encode(raw).decode("ascii")}
 

@@ -114,6 +114,14 @@ def unit_of(text: str) -> Unit:
     return Unit(high - low, low + zero, si)
 
 
+def counted_from(unit: str) -> str:
+    """Return what a unit of pressure says it is counted from: gauge, absolute, or "" (nothing)."""
+    match = None if _ALIASES.get(unit.strip().casefold()) else _OVER.match(unit.strip())
+    if not match or not {match["unit"], match["unit"].casefold()} & {*_ALIASES, *_EXACT}:
+        return ""
+    return "gauge" if match["over"] in _GAUGE else "absolute"
+
+
 def _parted(text: str) -> tuple[str, float]:
     """Return pint's name of a unit, and what a gauge pressure in it begins at, Pa."""
     known = _EXACT.get(text) or _ALIASES.get(text.casefold())

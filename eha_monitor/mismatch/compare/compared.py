@@ -9,6 +9,7 @@ import numpy as np
 
 from eha_monitor.balances.answer import far_from_config, first_answer
 from eha_monitor.balances.changed import against
+from eha_monitor.balances.course import courses_of
 from eha_monitor.balances.machine import healthy_machine
 from eha_monitor.breakdown import computing
 from eha_monitor.errors import InputError
@@ -66,30 +67,47 @@ def compared(recordings: list[Recording], references: list[Recording], settings:
     """
     say, started = progress or (lambda text, share: None), time.perf_counter()
     with computing(*(one.source for one in (*recordings, *references))):
-        if by_balances([*recordings, *references], settings):
-            return _by_balances(recordings, references, settings)
-        first, coarse = first_answer(references, settings), None
-        if first is not None and first.verdict == "insufficient_data":
-            raise InputError(f"{references[0].source}: expected references that move: "
-                             f"{first.message}")
-        if first is not None:
-            with suppress(InputError):  # too little motion for a spread of parts
-                coarse = _by_balances(recordings, references, settings)
-        # A filter of the config's laws is for what is smaller than a balance shows.
-        if coarse is not None and (coarse.verdict != "consistent" or far_from_config(first)):
-            return coarse
-        held, _ = resolved(references, settings)
-        if coarse is not None and not credible(experiment_of(references, held, False),
-                                               first.config_effects):
-            return coarse
-        say("learning the spread of healthy recordings", 0.1)
-        healthy = healthy_of(references, held)
-        say("comparing", 0.6)
-        here = [experiment_of(recordings, held, hold_out) for hold_out in (False, True)]
-        found = _answer(healthy, recordings, references, *(
-            healthy.experiment.only(one.stretches) for one in here), say)
-    return replace(found, wall_s=time.perf_counter() - started,
-                   advice=_advice(healthy, references, here[0], found.verdict))
+        references, left_out = _that_move(references, settings)
+        found = _compared(recordings, references, settings, say)
+    return replace(found, wall_s=time.perf_counter() - started, advice=left_out + found.advice)
+
+
+def _that_move(references: list[Recording], settings: Settings
+               ) -> tuple[list[Recording], tuple[str, ...]]:
+    """Return the references that hold a motion, and a line about each that does not."""
+    try:
+        moving, _, lines = courses_of(references, settings)
+    except InputError:  # none has a force balance: what else they hold is looked at below
+        return references, ()
+    return moving, tuple(f"reference {line}, so it says nothing of the healthy machine"
+                         for line in lines)
+
+
+def _compared(recordings: list[Recording], references: list[Recording], settings: Settings,
+              say: Report) -> Diagnosis:
+    if by_balances([*recordings, *references], settings):
+        return _by_balances(recordings, references, settings)
+    first, coarse = first_answer(references, settings), None
+    if first is not None and first.verdict == "insufficient_data":
+        raise InputError(f"{references[0].source}: expected references that move: "
+                         f"{first.message}")
+    if first is not None:
+        with suppress(InputError):  # too little motion for a spread of parts
+            coarse = _by_balances(recordings, references, settings)
+    # A filter of the config's laws is for what is smaller than a balance shows.
+    if coarse is not None and (coarse.verdict != "consistent" or far_from_config(first)):
+        return coarse
+    held, _ = resolved(references, settings)
+    if coarse is not None and not credible(experiment_of(references, held, False),
+                                           first.config_effects):
+        return coarse
+    say("learning the spread of healthy recordings", 0.1)
+    healthy = healthy_of(references, held)
+    say("comparing", 0.6)
+    here = [experiment_of(recordings, held, hold_out) for hold_out in (False, True)]
+    found = _answer(healthy, recordings, references, *(
+        healthy.experiment.only(one.stretches) for one in here), say)
+    return replace(found, advice=_advice(healthy, references, here[0], found.verdict))
 
 
 def _by_balances(recordings: list[Recording], references: list[Recording], settings: Settings

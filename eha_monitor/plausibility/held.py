@@ -1,0 +1,143 @@
+"""Pressures and forces that stand still while the machine moves: a clipped sensor, a set-point.
+
+A smooth signal turns at its highest value with a flat top, and is gone from it again by its own
+curvature.  One that is cut off comes to its highest value steeply, stays there to the last digit,
+and leaves it steeply.  A set-point stands to the last digit between its steps.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from eha_monitor.plausibility.moments import stretch_of
+from eha_monitor.quantity import quantity, share
+from eha_monitor.recordings.recording import ChannelFinding, Recording
+
+LOOKED_AT = ("p1", "p2", "force")  # a position stands at a stop, a speed at the drive's limit
+FEWEST = 8  # samples in a run
+OFTEN = 0.005  # of the samples
+MOVED = 0.02  # of its span must something else have moved meanwhile
+MOVES = 10.0  # standard deviations of its noise
+CUT_OFF = 0.02  # of its span: so much of a top must be missing
+STEPS = 4.0  # of the resolution: flatter tops are rounded, not cut off
+HELD_S = 0.1
+MOSTLY = 0.5  # of the samples
+JUMPS = 0.05  # of its span, the usual change from one value to the next
+
+
+@dataclass(frozen=True)
+class _Runs:
+    """Samples of equal value, one after the other: first, one behind the last, and the value."""
+
+    starts: np.ndarray
+    stops: np.ndarray
+    values: np.ndarray
+
+    def of(self, kept: np.ndarray) -> "_Runs":
+        return _Runs(self.starts[kept], self.stops[kept], self.values[kept])
+
+    @property
+    def lengths(self) -> np.ndarray:
+        return self.stops - self.starts
+
+
+@np.errstate(over="ignore", invalid="ignore")  # of values that are no signals
+def held(recording: Recording) -> tuple[ChannelFinding, ...]:
+    """Return the pressures and forces that are cut off, or that stand between steps."""
+    piece = slice(*stretch_of(recording))
+    channels = {name: np.asarray(values[piece], dtype=float)
+                for name, values in recording.channels.items() if name != "temperature"}
+    found = []
+    for name in LOOKED_AT:
+        values = channels.get(name)
+        if values is None or np.isfinite(values).sum() < FEWEST:
+            continue
+        span = float(np.nanmax(values) - np.nanmin(values))
+        runs = _still_while_others_move(name, channels) if span > 0.0 else None
+        if runs is None or not len(runs.starts):
+            continue
+        said = _stairs(runs, values, span, recording.sample_time, name) or _cut(
+            runs, values, span, name)
+        if said:
+            found.append(ChannelFinding(f"{name} {said}", "hold", (name,)))
+    return tuple(found)
+
+
+def _still_while_others_move(name: str, channels: dict[str, np.ndarray]) -> _Runs:
+    """Return the runs of equal samples of a channel in which a measured channel moves."""
+    values = channels[name]
+    edges = np.flatnonzero(np.r_[True, values[1:] != values[:-1], True])
+    runs = _Runs(edges[:-1], edges[1:], values[edges[:-1]])
+    runs = runs.of((runs.lengths >= FEWEST) & np.isfinite(runs.values))
+    moved = np.zeros(len(runs.starts), dtype=bool)
+    for other in ("x", "p1", "p2", "omega"):
+        if other == name or other not in channels or not len(moved):
+            continue
+        theirs = channels[other]
+        least = max(MOVED * float(np.nanmax(theirs) - np.nanmin(theirs)),
+                    MOVES * _noise(theirs)) if np.isfinite(theirs).any() else np.inf
+        moved |= np.array([np.ptp(theirs[a:b]) > least for a, b in zip(
+            runs.starts, runs.stops, strict=True)])
+    return runs.of(moved)
+
+
+def _stairs(runs: _Runs, values: np.ndarray, span: float, dt: float, name: str) -> str:
+    """Return that a channel stands between steps, in words, or ""."""
+    long = runs.of(runs.lengths * dt >= HELD_S)
+    part = float(long.lengths.sum()) / len(values)
+    changes = np.abs(np.diff(values))
+    jump = float(np.median(changes[changes > 0.0])) if (changes > 0.0).any() else 0.0
+    if part < MOSTLY or jump < JUMPS * span:
+        return ""
+    return (f"stands still in {share(part, 2)} of the motion, and then jumps by "
+            f"{_shown(jump, name)}: it may be a set-point (another column), a "
+            "slow logger, or too coarse a sensor")
+
+
+def _cut(runs: _Runs, values: np.ndarray, span: float, name: str) -> str:
+    """Return at which of its ends a channel is cut off, in words, or ""."""
+    steps = np.abs(np.diff(values))
+    smallest = float(np.quantile(steps[steps > 0.0], 0.1)) if (steps > 0.0).any() else 0.0
+    least = max(CUT_OFF * span, STEPS * smallest)
+    for sign, end, word in ((1.0, np.nanmax(values), "highest"),
+                            (-1.0, np.nanmin(values), "lowest")):
+        flat = runs.of(runs.values == end)
+        cut = flat.of(np.array([_missing(sign * values, a, b) > least for a, b in zip(
+            flat.starts, flat.stops, strict=True)], dtype=bool))
+        part = float(cut.lengths.sum()) / len(values)
+        if part > OFTEN:
+            limit = "a relief valve holds it" if sign > 0 else "the chamber runs empty"
+            or_ = f", or {limit}" if name != "force" else ""
+            return (f"stays at exactly {_shown(float(end), name)}, its {word} value, in "
+                    f"{share(part, 2)} of the samples while the machine moves: its sensor may be "
+                    f"at the end of its range{or_}")
+    return ""
+
+
+def _shown(value: float, name: str) -> str:
+    return quantity(value, "N", 4) if name == "force" else f"{value / 1e5:.4g} bar"
+
+
+def _noise(values: np.ndarray) -> float:
+    """Return the standard deviation of the white part of a channel, by its second differences."""
+    bends = np.abs(np.diff(values, 2))
+    bends = bends[np.isfinite(bends)]
+    return float(np.median(bends)) / (0.6745 * 6.0**0.5) if len(bends) else 0.0
+
+
+def _missing(values: np.ndarray, start: int, stop: int) -> float:
+    """Return how high a parabola would rise above a flat top with the slopes at its ends.
+
+    The smaller of both slopes counts.  A top that the recording begins or ends with counts for
+    none: a steady motion may begin or end there.
+    """
+    n = stop - start
+    reach = max(3, n // 4)
+    slopes = []
+    for side in (values[max(start - reach, 0):start][::-1], values[stop:stop + reach]):
+        side = side[np.isfinite(side)]
+        if len(side) < 3:
+            return 0.0
+        steps = np.arange(1, len(side) + 1)
+        slopes.append(float(np.sum((values[start] - side) * steps) / np.sum(steps**2)))
+    return min(slopes) * n / 4.0
