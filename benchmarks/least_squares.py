@@ -22,8 +22,8 @@ import record
 from rich.console import Console
 from rich.table import Table
 
-from eha_monitor.concealed.strangers.draw import draw_rig
-from eha_monitor.concealed.strangers.generate import record as recorded, truth_of
+from strangers.draw import draw_rig
+from strangers.generate import record as recorded, truth_of
 from eha_monitor.errors import InputError
 from eha_monitor.estimation.pipeline import estimate
 

@@ -1,6 +1,6 @@
 """A ground of the proof: strangers' rigs, by other equations, each with several recordings.
 
-The rigs are those of :mod:`eha_monitor.concealed.strangers`: friction by laws that the catalogue
+The rigs are those of :mod:`strangers`: friction by laws that the catalogue
 does not have, B that drifts with the oil's temperature, loads that differ between recordings, a
 config that ``init`` drafts from data sheets.  Each recording is diagnosed alone, and all of a rig
 together.  A name is right within its class: dry friction of another law is dry friction.
@@ -10,8 +10,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from eha_monitor.concealed.strangers.draw import draw_rig
-from eha_monitor.concealed.strangers.generate import truth_of, write
+from strangers.draw import draw_rig
+from strangers.generate import truth_of, write
+
 from eha_monitor.prove.grounds import (
     Ground,
     after_of,
