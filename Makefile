@@ -23,6 +23,8 @@ TRIALS := $(addprefix benchmarks/,wrong_inputs.py command_hold.py first_minute.p
 
 # What the benchmarks write their figures with.
 RECORDS := benchmarks/record.py benchmarks/tables.py benchmarks/proof_figures.py
+# The trial on recordings from elsewhere: each is named, and takes minutes to an hour.
+GROUNDS := benchmarks/grounds.py
 
 # What decides names, motions and orders, and the examples that print them: the answers are the
 # same on every processor.  Linear algebra has other kernels on each, and a processor of which
@@ -113,7 +115,7 @@ lint: $(VENV)/.all
 	@$(PYTHON) -m ruff check .
 
 bench: everything
-	@for file in $(filter-out $(TRIALS) $(RECORDS),$(wildcard benchmarks/*.py)); do \
+	@for file in $(filter-out $(TRIALS) $(RECORDS) $(GROUNDS),$(wildcard benchmarks/*.py)); do \
 		echo "== $$file"; $(PYTHON) $$file || exit 1; done
 
 figures: everything

@@ -376,7 +376,7 @@ def row_of(truth: dict, answer: dict | None, oracle: dict | None = None,
         "probabilities": statements_of(answer, findings, list(pairs.values()), consistent,
                                        shown),
         "motion": truth.get("motion"), "noise": truth.get("noise"),
-        "channels": truth.get("channels"), "group": truth.get("group"),
+        "channels": truth.get("channels"),
         "wall_s": answer.get("wall_s"), "seconds": (run or {}).get("seconds"),
     }
 

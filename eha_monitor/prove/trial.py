@@ -1,8 +1,7 @@
 """The concealed-effect trial: recordings made, key sealed, diagnosed by others, opened, scored.
 
 The diagnosis of each case is a process of its own, the public ``diagnose`` command, under a guard
-(:mod:`eha_monitor.prove.blind`) that lets it open its bag and its nominal config only.  It is a
-fork of one that has the program loaded (:mod:`eha_monitor.prove.warm`).
+(:mod:`eha_monitor.prove.blind`) that lets it open its bag and its nominal config only.
 
 A trial's folder::
 
@@ -108,7 +107,7 @@ SCHEMA = "eha_monitor/proof/1"
 PACKAGE = Path(__file__).parents[1]
 # What has a part in an answer.
 ROOMS = ("physics", "estimation", "balances", "mismatch", "recordings", "settings", "plausibility",
-         "api", "commands/diagnose.py", "prove/blind.py", "prove/warm.py", "words.py")
+         "api", "commands/diagnose.py", "prove/blind.py", "words.py")
 FEW = 4  # cases that are made without processes of their own
 
 Report = Callable[[str, float], None]
@@ -144,7 +143,6 @@ class Trial:
     oracle : also fit each case with a model that knows the effects, not the true rig.
     jobs : processes at a time; each gets its share of the cores.
     keep : which answers of an earlier run stay: of the ``same`` source, ``all``, ``none``.
-    groups : case -> name of a group that is marked by itself.
     questions : to be answered; without them one diagnosis of each recording by itself.
     conceal : writes the recording of a case into a folder and returns what is true of it.
     complete : given the opened key, returns it with what lies elsewhere and was sealed by digest.
@@ -156,7 +154,6 @@ class Trial:
     oracle: bool = False
     jobs: int = 0
     keep: str = "same"
-    groups: tuple[tuple[str, str], ...] = ()
     questions: tuple[Question, ...] = ()
     conceal: Callable[[Case, Path], dict] | None = None
     complete: Callable[[dict], dict] | None = None
@@ -325,7 +322,7 @@ def places(trial: Trial, name: str, folder: str) -> tuple[Path, Path, Path]:
 
 def result(trial: Trial, key: dict, sealed: str) -> dict:
     """Score the answers against the opened key; the contract's keys, then what extends it."""
-    rows, sources, groups = [], {}, dict(trial.groups)
+    rows, sources = [], {}
     truths = {truth["case"]: truth for truth in key["cases"]}
     for question in trial.all_questions():
         if question.command != "diagnose":
@@ -334,7 +331,7 @@ def result(trial: Trial, key: dict, sealed: str) -> dict:
         run = read_json(trial.work / "answers" / f"{name}.run.json") or {}
         sources[run.get("source", "")] = sources.get(run.get("source", ""), 0) + 1
         oracle = read_json(trial.work / "oracles" / f"{name}.json") if trial.oracle else None
-        rows.append(score.row_of({**truth, "case": name, "group": groups.get(name)},
+        rows.append(score.row_of({**truth, "case": name},
                                  read_json(trial.work / "answers" / f"{name}.json"), oracle, run))
     return {
         "schema": SCHEMA, "sealed_key_sha256": sealed, "cases": len(rows),

@@ -13,16 +13,15 @@ from pathlib import Path
 from strangers.draw import draw_rig
 from strangers.generate import truth_of, write
 
-from eha_monitor.prove.grounds import (
+from eha_monitor.prove.score import SIGMAS
+from eha_monitor.prove.trial import Question, prove
+from ground_parts import (
     Ground,
     after_of,
     answer_of,
     compared_row,
     said_of,
-    with_ground,
 )
-from eha_monitor.prove.score import SIGMAS
-from eha_monitor.prove.trial import Question, prove
 
 RIGS = 5
 TOGETHER = "_all"
@@ -64,7 +63,7 @@ def prove_strangers(ground: Ground, announce: Callable[[str], None],
         facts.append(f"{words}: {good} of {len(rows)} answers name what is there, within its "
                      f"class, and nothing else; {inside} of {len(own)} of B and the named sizes "
                      f"inside ± {SIGMAS:g} standard deviations")
-    return with_ground(found, "strangers", facts, ratios, ground.work)
+    return {**found, "facts": facts, "parameters": ratios}
 
 
 def conceal(case: Strange, folder: Path) -> dict:

@@ -1,33 +1,25 @@
-"""The further grounds of the proof: published plant, another simulator, the paper's triangle."""
+"""The trial on other grounds (benchmarks/grounds.py): what is true there, what was answered."""
 
-import json
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from command_tools import refused
-
-from eha_monitor.concealed.cases import truth_of
-from eha_monitor.concealed.draws import MCMASTER, MCMASTER_RIG, mcmaster_case
-from eha_monitor.concealed.generate import nominal_config, recording_of
-from eha_monitor.errors import InputError
-from eha_monitor.prove.files import write_json
-from eha_monitor.prove.grounds import (
-    Ground,
-    compared_row,
+from ground_parts import (
     mcmaster,
     said_of,
     simulator,
     strangers,
     triangle,
-    with_ground,
 )
+
+from eha_monitor.concealed.cases import truth_of
+from eha_monitor.concealed.draws import MCMASTER, MCMASTER_RIG, mcmaster_case
+from eha_monitor.errors import InputError
+from eha_monitor.prove.files import write_json
 from eha_monitor.prove.score import row_of
 from eha_monitor.prove.trial import Question
 from eha_monitor.recordings.read import read_recording
-from eha_monitor.reports.proof_report import proof_page, write_result
-from eha_monitor.settings import load_settings, settings_from_tree
+from eha_monitor.settings import load_settings
 
 ROOT = Path(__file__).parents[1]
 DATA = ROOT.parent / "shared" / "data" / "fluid_power_sim"
@@ -61,23 +53,6 @@ def test_published_leakage_is_the_configs_and_the_concealed_one_together():
         total = truth["cross_port_leakage"]["L"] + 0.5 * MCMASTER_RIG["C_T"]
         assert total == pytest.approx(leak, rel=1e-12)
         assert truth["leakage_offset"]["Q_0"] == offset and case.rig["B"] == a_2
-
-
-def test_nominal_config_of_the_published_rig_has_viscous_friction_alone():
-    tree = nominal_config(mcmaster_case("friction"))
-    settings = settings_from_tree(tree, "nominal")
-    assert not settings.effects
-    assert settings.rig.viscous_damping == MCMASTER["normal"][3] == settings.stage_one.prior
-    assert settings.stage_two.prior == MCMASTER_RIG["beta_e"]
-    assert settings.rig.leakage == 5e-13
-
-
-@pytest.mark.parametrize("state", list(MCMASTER))
-def test_no_motion_of_the_published_rig_comes_near_cavitation(state):
-    shown, _ = recording_of(mcmaster_case(state))
-    assert min(shown["p1"].min(), shown["p2"].min()) > 2e6
-    assert np.abs(shown["omega"]).max() < 600.0
-    assert 0.02 < np.abs(shown["x"]).max() < 0.05
 
 
 @pytest.mark.parametrize("shape", ["triangle", "sine"])
@@ -154,20 +129,7 @@ def test_simulators_key_must_be_the_sealed_one():
         simulator.completed({"cases": [entry]}, DATA, CONFIG)
 
 
-@needs_data
-def test_each_motion_is_asked_alone_and_all_of_a_rig_together():
-    tables = simulator.tables_of(DATA, CONFIG, Ground(Path("out"), cases=1))
-    assert [q.bags for q in simulator.questions_of(tables)] == [
-        ("h03_rich",), ("h03_tri",), ("h03_rich", "h03_tri")]
-
-
 # The triangle.
-
-def test_an_advised_motion_becomes_a_demand():
-    x_d = triangle.demanded({"sine": {"kind": "sine", "duration": 2.0, "frequency": 2.0,
-                                            "amplitude": 0.01, "offset": 0.001}})
-    assert len(x_d) == 2000 and x_d[125] == pytest.approx(0.011)
-
 
 def test_what_the_advice_must_say(tmp_path, monkeypatch):
     monkeypatch.setattr(triangle, "linear_fit", lambda case, work: 900.0)
@@ -223,34 +185,6 @@ def test_dry_friction_of_another_law_is_right_within_its_class_and_b_within_its_
     assert b["inside"] and b["true"] == 1400.0
 
 
-# What a ground adds to a result.
-
-def result() -> dict:
-    """Return a result with nothing judged."""
-    return {"schema": "eha_monitor/proof/1", "sealed_key_sha256": "a" * 64, "cases": 1,
-            "score": {}, "by_effect": {}, "rows": [{
-                "case": "m01_normal", "truth": ["coulomb_friction"], "named": [], "classes": {},
-                "verdict": "consistent", "located": "", "within_class": True}],
-            "confusion": {}, "detection": [], "detection_curves": {}, "detection_bins": [],
-            "failed": 0, "oracle": False, "seed": 1, "commit": None, "sources": {}}
-
-
-def test_report_and_markdown_of_a_ground(tmp_path):
-    rows = [compared_row("normal", "a1", 100.0, {"value": 104.0, "stddev": 3.0}, 0.1),
-            compared_row("normal", "coulomb_friction.F_c", 436.0, None, 0.1)]
-    found = with_ground(result(), "mcmaster", ["a linear fit reads B = 16 457"], rows, tmp_path)
-    assert json.loads((tmp_path / "proof.json").read_text())["ground"] == "mcmaster"
-    page = proof_page(found)
-    assert 'id="facts"' in page and "16 457" in page and "not named" in page
-    assert page.count("data:image/png") == 1
-    text = tmp_path / "proof.md"
-    text.write_text("a\n<!-- result -->\nkept\n<!-- end of result -->\n"
-                    "<!-- mcmaster result -->\nold\n<!-- end of mcmaster result -->\nz\n")
-    write_result(text, found)
-    written = text.read_text()
-    assert "kept" in written and "old" not in written and "| normal | a1 | 100 |" in written
-
-
 def test_a_parameter_may_be_said_under_a_declared_class():
     answer = said(("turbulent_leakage", ("cross_port_leakage",), {"c": 1e-9}),
                   ("presliding_friction", ("coulomb_friction",), {"F_c": 40.0}))
@@ -258,19 +192,3 @@ def test_a_parameter_may_be_said_under_a_declared_class():
     assert said_of(answer, "coulomb_friction", "F_c", 2.0)["value"] == 42.0
 
 
-@pytest.mark.parametrize(("words", "wrong"), [
-    (["--ground", "simulator"], "expected --data DIR"),
-    (["--ground", "triangle", "--config", str(CONFIG)], "has its own rig"),
-    (["--data", "."], "reads no recordings"),
-    (["--ground", "mcmaster", "--oracle"], "has none"),
-    (["--ground", "simulator", "--data", "/nowhere", "--config", str(CONFIG)],
-     "expected RIG_MOTION.csv.gz files and key.json"),
-])
-def test_options_of_a_ground_are_checked_in_one_line(words, wrong, capsys, tmp_path):
-    assert wrong in refused(capsys, "prove", *words, "--work", tmp_path / "work")
-
-
-def test_questions_of_a_trial(tmp_path):
-    case = replace(mcmaster_case("normal"), name="a")
-    trial = Ground(tmp_path).trial((case,))
-    assert trial.all_questions() == (Question("a", ("a",)),)

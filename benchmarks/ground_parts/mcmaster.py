@@ -14,15 +14,14 @@ import numpy as np
 from eha_monitor.concealed.cases import SAMPLE_TIME, Case, triangle
 from eha_monitor.concealed.draws import MCMASTER, MCMASTER_RIG, mcmaster_case
 from eha_monitor.concealed.generate import nominal_config, recording_of
-from eha_monitor.prove.grounds import (
+from eha_monitor.prove.trial import prove
+from ground_parts import (
     Ground,
     after_of,
     answer_of,
     compared_row,
     said_of,
-    with_ground,
 )
-from eha_monitor.prove.trial import prove
 
 CLOSE = 0.1
 PUMP_SPEED = 100.0  # rad/s of the published linear fits
@@ -44,7 +43,7 @@ def prove_mcmaster(ground: Ground, announce: Callable[[str], None],
              f"{MCMASTER['normal'][3]:.0f} is true" for fit in fits]
     facts.append(f"{good} of {sum(row['aim'] > 0 for row in ratios)} parameters (a1, a2, a3, L, "
                  f"Q_L0) within {CLOSE:.0%} after the diagnosis")
-    return with_ground(found, "mcmaster", facts, ratios, ground.work, linear_fits=fits)
+    return {**found, "facts": facts, "parameters": ratios}
 
 
 def case_of(i: int, seed: int) -> Case:
