@@ -19,7 +19,7 @@ INSTALLED := setup.py setup.cfg pyproject.toml package.xml $(shell find eha_moni
 	bags executables scripts resource -type f -not -name '*.pyc' 2>/dev/null)
 
 # Trials that take an hour, by people who have not seen this project: proofs, not benchmarks.
-TRIALS := $(addprefix benchmarks/,wrong_inputs.py command_hold.py first_minute.py)
+TRIALS := $(addprefix benchmarks/,wrong_inputs.py first_minute.py)
 
 # What the benchmarks write their figures with.
 RECORDS := benchmarks/record.py benchmarks/tables.py benchmarks/proof_figures.py

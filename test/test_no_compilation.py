@@ -15,7 +15,7 @@ import pytest
 from eha_monitor.compiled import CACHE
 
 ROOT = Path(__file__).parents[1]
-LIST = "python benchmarks/compilations.py --write makes eha_monitor/signatures.py anew"
+LIST = "python benchmarks/compilations.py --write makes eha_monitor/signatures.json anew"
 # One process, for each takes a second to start: what any command compiled is told all the same.
 COMMANDS = """
 import json

@@ -17,10 +17,9 @@ from eha_monitor.output import write_text
 @common.json_option
 @click.option("--report", "report_file", type=common.FILE, metavar="FILE.html",
               help="Write a self-contained HTML report; without it DIR/proof.html.")
-@click.option("--draw", type=click.Choice(("mixed", "ladder", "outside")), default="mixed",
-              show_default=True, help="Sets of 0 to 3 effects on all rigs and motions; single "
-              "effects over a ladder of strengths, for a detection curve of each; or effects "
-              "that are not in the catalogue.")
+@click.option("--draw", type=click.Choice(("mixed", "outside")), default="mixed",
+              show_default=True, help="Sets of 0 to 3 effects on all rigs and motions; or "
+              "effects that are not in the catalogue.")
 @click.option("--rig", type=click.Choice(("exact", "within", "beyond", "mixed")), default="mixed",
               show_default=True, help="What the nominal configs say of the rig: the truth; each "
               "number off by one tolerance (standard deviation); one number off by 3 to 10 of "

@@ -15,67 +15,7 @@ from eha_monitor.reports.diagnosis_figures import curve_figure, informative
 from eha_monitor.reports.page import Cell, Table, render, table
 from eha_monitor.words import effect_words
 
-# What was said -> colour, marker, words; drawn in this order.
-_MARKS = {
-    "nothing": (fig.MEASURED, "circle", "nothing"),
-    "unexplained": ("#E69F00", "square", "unexplained"),
-    "wrong": (fig.ERROR_LINE, "x", "another name"),
-    "class": (fig.STAGE_ONE, "diamond", "its declared class"),
-    "exact": (fig.OTHER, "circle", "its name"),
-}
-_ROW = 19  # pixels of a row
-_LEAST = 0.1  # units at which the axis begins
 _RELIABILITY = 470  # pixels of the height of the reliability diagram
-_STRENGTH = "strength, relative to what an oracle just detects"
-
-
-def detection_figure(found: dict) -> fig.Figure | None:
-    """Draw every single effect as a mark: effect against strength, coloured by what was said."""
-    detection = found["detection"]
-    if not detection:
-        return None
-    by_units = any(one["units"] is not None for one in detection)
-    names = sorted({one["effect"] for one in detection}, reverse=True)
-    panel = fig.Panel(fig.Side(_STRENGTH if by_units else "strength; 1 is clear", log=True),
-                      fig.Side(rows=tuple(effect_words(name) for name in names)))
-    if by_units:
-        panel.add(fig.Level(1.0, dash="dot", upright=True))
-        points = [(names.index(name), curve["point_95"])
-                  for name, curve in found["detection_curves"].items() if name in names]
-        if points:
-            row, at = np.array(points, dtype=float).T
-            panel.add(fig.Curve(at, row, "95 % point", width=0.0, error_width=2.0, legend=False,
-                                y_error=np.full(len(at), 0.42)))
-    for said, (colour, marker, words) in _MARKS.items():
-        mine = [one for one in detection if one["said"] == said
-                and (not by_units or one["units"] is not None)]
-        if mine:
-            at = [max(one["units"], _LEAST) if by_units else one["strength"] for one in mine]
-            row = np.array([names.index(one["effect"]) for one in mine])
-            panel.add(fig.Curve(np.array(at), row, words, colour, 0.0, marker=marker, size=7.5,
-                                opacity=0.85, edge="#ffffff"))
-    return fig.Figure((panel,), "result for each single concealed effect, by its strength",
-                      size=(fig.WIDTH, 110 + _ROW * max(len(names), 4)))
-
-
-def detection_curve(found: dict) -> fig.Figure | None:
-    """Draw the share of right names against strength in units of what can just be detected."""
-    curve, bins = found["detection_curves"].get("all"), found["detection_bins"]
-    if curve is None or not bins:
-        return None
-    units = np.geomspace(_LEAST, max(30.0, bins[-1]["units"]), 200)
-    at, value, low, high = (np.array([one[key] for one in bins])
-                            for key in ("units", "share", "low", "high"))
-    panel = fig.Panel(fig.Side(_STRENGTH, log=True), fig.Side("right name or declared class",
-                                                              limits=(-0.04, 1.06)))
-    panel.add(fig.Curve(units, 1.0 / (1.0 + (curve["middle"] / units) ** curve["slope"]),
-                        "fitted curve", fig.STAGE_ONE, 2.0),
-              fig.Curve(at, value, "share, with its 68 % interval", fig.INK, 0.0, marker="circle",
-                        y_error=np.maximum([value - low, high - value], 0.0)),
-              fig.Level(1.0, dash="dot", upright=True),
-              fig.Level(curve["point_95"], f"95 % at {curve['point_95']:.2g}", fig.ERROR_LINE, 1.4,
-                        upright=True))
-    return fig.Figure((panel,), "probability of the right name against strength")
 
 
 def reliability_figure(found: dict) -> fig.Figure | None:
@@ -140,8 +80,7 @@ def proof_page(found: dict, work: Path | None = None) -> str:
     return render(
         "proof.html.j2", title="EHA diagnosis: the concealed-effect trial", facts=_facts(found),
         marks=marks(found), groups=groups(found),
-        pictures=[one for one in (detection_figure(found), detection_curve(found)) if one],
-        units=bool(found["detection_curves"]), reliability=reliability_figure(found),
+        reliability=reliability_figure(found),
         effects=effects(found), confusion=confusion(found), misses=_miss_cards(found, work),
         cases=found["cases"])
 
@@ -186,13 +125,11 @@ def groups(found: dict) -> list[Table]:
 
 def effects(found: dict) -> Table:
     """Return the shares by effect."""
-    curves = found["detection_curves"]
     rows = [(name, one["n"], percent(one["exact"]), percent(one["within_class"]),
-             one["detectable"], percent(one["found"]),
-             f"{curves[name]['point_95']:.2g}" if name in curves else "—")
+             one["detectable"], percent(one["found"]))
             for name, one in found["by_effect"].items()]
-    return table("effect | cases | exact | within class | detectable | found of these | "
-                 "95 % point, units", rows, f"key{_NUMBERS} | number", "effects")
+    return table("effect | cases | exact | within class | detectable | found of these", rows,
+                 f"key{_NUMBERS}", "effects")
 
 
 def confusion(found: dict) -> Table:
