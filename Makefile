@@ -95,7 +95,7 @@ everything: $(VENV)/.all $(VENV)/.compiled
 
 # It compiles the rest itself, behind its first steps.
 demo: $(VENV)/.package
-	@$(PYTHON) -m eha_monitor.demo
+	@PYTHONPATH=$(CURDIR) $(PYTHON) scripts/demo.py
 
 test: export ROS_PYTHON_CHECK_FIELDS := 1
 test: everything
