@@ -5,15 +5,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from ground_parts import (
-    mcmaster,
     said_of,
     simulator,
     strangers,
-    triangle,
 )
 
-from eha_monitor.concealed.cases import truth_of
-from eha_monitor.concealed.draws import MCMASTER, MCMASTER_RIG, mcmaster_case
 from eha_monitor.errors import InputError
 from eha_monitor.prove.files import write_json
 from eha_monitor.prove.score import row_of
@@ -33,55 +29,6 @@ def said(*effects, after=None) -> dict:
     return {"effects": [{"name": name, "indistinguishable_from": list(rivals), "parameters": {
         key: {"value": value, "stddev": 0.01 * abs(value)} for key, value in parameters.items()}}
         for name, rivals, parameters in effects], "parameters": {"after": after or {}}}
-
-
-# McMaster.
-
-def test_a_wrong_leakage_of_the_config_is_the_same_equation_as_more_leakage():
-    answer = said() | {"rig_data": [{"key": "leakage", "found": {"value": 9.6e-12,
-                                                                 "stddev": 2e-14}}]}
-    assert mcmaster.leakage(answer, 2.5e-13) == {"value": 4.8e-12, "stddev": 1e-14}
-    named = said(("cross_port_leakage", (), {"L": 4.5e-12}))
-    assert mcmaster.leakage(named, 2.5e-13)["value"] == 4.5e-12 + 2.5e-13
-    assert mcmaster.leakage(said(), 2.5e-13) is None
-
-
-def test_published_leakage_is_the_configs_and_the_concealed_one_together():
-    for state, (leak, offset, _, a_2, _) in MCMASTER.items():
-        case = mcmaster_case(state)
-        truth = {one["name"]: one["parameters"] for one in truth_of(case)["effects"]}
-        total = truth["cross_port_leakage"]["L"] + 0.5 * MCMASTER_RIG["C_T"]
-        assert total == pytest.approx(leak, rel=1e-12)
-        assert truth["leakage_offset"]["Q_0"] == offset and case.rig["B"] == a_2
-
-
-@pytest.mark.parametrize("shape", ["triangle", "sine"])
-def test_a_linear_fit_reads_the_friction_it_lacks_as_viscous(shape):
-    fit = mcmaster.linear_fit(shape)
-    assert fit["B"] == pytest.approx(mcmaster.PUBLISHED[shape], rel=0.1)
-
-
-def test_parameters_are_compared_with_the_published_ones(tmp_path):
-    case = mcmaster.case_of(0, 1)
-    leak, offset, a_1, a_2, a_3 = MCMASTER["normal"]
-    (tmp_path / "answers").mkdir()
-    write_json(tmp_path / "answers" / f"{case.name}.json", said(
-        ("quadratic_friction", (), {"a_1": 1.05 * a_1}),
-        ("presliding_friction", ("coulomb_friction",), {"F_c": a_3}),
-        ("cross_port_leakage", (), {"L": leak - 2.5e-13}),
-        after={"B": {"value": 1.2 * a_2, "stddev": 1.0}}))
-    rows = {row["name"]: row for row in mcmaster.parameters(case, tmp_path)}
-    assert [name for name, row in rows.items() if row["within"]] == ["a1", "a3", "L"]
-    assert rows["L"]["relative"] == pytest.approx(0.0, abs=1e-9)
-    assert rows["a2"]["relative"] == pytest.approx(0.2)
-    assert rows["Q_L0"]["said"] is None and rows["Q_L0"]["true"] == offset
-
-
-def test_dry_friction_may_be_said_as_pressure_friction():
-    mu = 436.0 / 16e6
-    answer = said(("pressure_friction", ("coulomb_friction",), {"mu": mu}))
-    assert mcmaster.dry_friction(answer)["value"] == pytest.approx(436.0)
-    assert mcmaster.dry_friction(said(("pressure_friction", (), {"mu": mu}))) is None
 
 
 # The simulator.
@@ -129,31 +76,6 @@ def test_simulators_key_must_be_the_sealed_one():
         simulator.completed({"cases": [entry]}, DATA, CONFIG)
 
 
-# The triangle.
-
-def test_what_the_advice_must_say(tmp_path, monkeypatch):
-    monkeypatch.setattr(triangle, "linear_fit", lambda case, work: 900.0)
-    case = triangle.triangle_case(0, 1)
-    force, true = case.options["coulomb_friction"]["F_c"], case.rig["B"]
-    (tmp_path / "answers").mkdir()
-    write_json(tmp_path / "answers" / f"{case.name}_both.json", {**said(
-        ("coulomb_friction", (), {"F_c": 1.01 * force}),
-        after={"B": {"value": 0.99 * true, "stddev": 2.0}}),
-        "fit": {"data": "held_out_bag"}, "verdict": "mismatch"})
-    advice = {"confusions": [{"parameter": "B", "effect": "coulomb_friction", "amount": 20.0,
-                              "plateau_correlation": -0.99999, "plateau_shift": -500.0}],
-              "doubts": [{"parameter": "B", "effect": "coulomb_friction", "then": 800.0}],
-              "motion": {"words": "a sine", "excitation": {}}}
-    row = triangle.judged(case, advice, tmp_path)
-    assert row["shift_right"] and row["decides"] and row["named"] == ["coulomb_friction"]
-    facts = triangle.facts_of([row])
-    assert [fact.split(":")[0] for fact in facts[:3]] == ["1 of 1"] * 3
-    rows = triangle.parameters(case, tmp_path)
-    assert [row["within"] for row in rows] == [False, False, True, True]
-    wrong = triangle.judged(case, {**advice, "motion": None, "doubts": []}, tmp_path)
-    assert not wrong["decides"]
-
-
 # Strangers' rigs.
 
 def test_a_stranger_s_recording_is_written_with_the_config_of_its_sheet(tmp_path):
@@ -190,5 +112,3 @@ def test_a_parameter_may_be_said_under_a_declared_class():
                   ("presliding_friction", ("coulomb_friction",), {"F_c": 40.0}))
     assert said_of(answer, "cross_port_leakage", "L") is None
     assert said_of(answer, "coulomb_friction", "F_c", 2.0)["value"] == 42.0
-
-
