@@ -56,7 +56,7 @@ for names in (("x", "x_d", "omega", "p1", "p2"), ("x", "omega"), ("x", "p1", "p2
                 circuit_of(fit.theta, fit.active), np.zeros(len(position)))
     played(position, 1e-6)
 """
-# Each kind of config, row by row: as a monitor that is asked for nothing but its state.
+# Each kind of config, live: as a monitor that is asked for nothing but its state.
 PUSHED = """
 import sys
 from eha_monitor.live.estimator import LiveEstimator
@@ -66,9 +66,8 @@ from eha_monitor.settings import load_settings
 settings = load_settings(sys.argv[2])
 recording = read_recording(sys.argv[1], settings)
 live = LiveEstimator(settings)
-names = list(recording.channels)
-for k, row in enumerate(zip(*(v.tolist() for v in recording.channels.values()), strict=True)):
-    live.push(k * recording.sample_time, dict(zip(names, row, strict=True)))
+for k in range(0, len(recording), 10):
+    live.push_rows(recording.time[k:k + 10], recording.part(k, k + 10).channels)
 live.snapshot()
 live.rehearse()
 """

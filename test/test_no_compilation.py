@@ -60,8 +60,8 @@ for name, tree in (("euler", {"discretisation": "euler"}), ("held", {"command_ho
     assert main(["simulate", "--duration", "1", "--config", "config.yaml", "--out", name]) == 0
     assert main(["estimate", "plain", "--config", "config.yaml"]) == 0
 live = LiveEstimator(Settings())
-for k, row in enumerate(zip(*(v.tolist() for v in whole.channels.values()), strict=True)):
-    live.push(k * whole.sample_time, dict(zip(whole.channels, row, strict=True)))
+for k in range(0, len(whole), 10):
+    live.push_rows(whole.time[k:k + 10], whole.part(k, k + 10).channels)
 live.snapshot()
 live.rehearse()
 """
