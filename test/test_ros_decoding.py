@@ -8,10 +8,11 @@ from bag_tools import joint
 from hypothesis import given
 from hypothesis import strategies as st
 from rclpy.serialization import deserialize_message, serialize_message
+from rosbags.typesys import Stores, get_typestore
 from sensor_msgs.msg import Imu, JointState
 from std_msgs.msg import Float32
 
-from eha_monitor.ros.decoding import Stream, TopicReader
+from eha_monitor.ros.decoding import Stream, TopicReader, types_of_class
 from eha_monitor.ros.messages import stamp
 from eha_monitor.ros.topics import topics_of
 from eha_monitor.settings import settings_from_tree
@@ -123,3 +124,13 @@ def test_messages_of_another_byte_order_are_read():
     data = joint(START, ("piston", "pump"), (1.0, 2.0), (3.0, 4.0), little_endian=False)
     (piston, pump), _ = read(contract(), JOINT, [data])
     assert piston.values[0, :2].tolist() == [1.0, 3.0] and pump.values.tolist() == [[4.0]]
+
+
+@pytest.mark.parametrize("name", ["JointState", "FluidPressure", "Imu", "NavSatFix", "JoyFeedback",
+                                  "MultiDOFJointState"])
+def test_fields_of_a_class_are_those_of_its_definition(name):
+    """So a type that rosbags does not know is read as well."""
+    kind = f"sensor_msgs/msg/{name}"
+    for inner, (_, fields) in types_of_class(kind).items():
+        assert fields == [tuple(one) for one in get_typestore(
+            Stores.ROS2_JAZZY).fielddefs[inner][1]], inner
