@@ -19,10 +19,12 @@ INSTALLED := setup.py setup.cfg pyproject.toml package.xml $(shell find eha_moni
 	bags executables scripts resource -type f -not -name '*.pyc' 2>/dev/null)
 
 # Trials that take an hour, by people who have not seen this project: proofs, not benchmarks.
-TRIALS := $(addprefix benchmarks/,wrong_inputs.py command_hold.py first_minute.py)
+TRIALS := $(addprefix benchmarks/,wrong_inputs.py first_minute.py)
 
 # What the benchmarks write their figures with.
 RECORDS := benchmarks/record.py benchmarks/tables.py benchmarks/proof_figures.py
+# The trial on recordings from elsewhere: each is named, and takes minutes to an hour.
+GROUNDS := benchmarks/grounds.py
 
 # What decides names, motions and orders, and the examples that print them: the answers are the
 # same on every processor.  Linear algebra has other kernels on each, and a processor of which
@@ -93,7 +95,7 @@ everything: $(VENV)/.all $(VENV)/.compiled
 
 # It compiles the rest itself, behind its first steps.
 demo: $(VENV)/.package
-	@$(PYTHON) -m eha_monitor.demo
+	@PYTHONPATH=$(CURDIR) $(PYTHON) scripts/demo.py
 
 test: export ROS_PYTHON_CHECK_FIELDS := 1
 test: everything
@@ -113,7 +115,7 @@ lint: $(VENV)/.all
 	@$(PYTHON) -m ruff check .
 
 bench: everything
-	@for file in $(filter-out $(TRIALS) $(RECORDS),$(wildcard benchmarks/*.py)); do \
+	@for file in $(filter-out $(TRIALS) $(RECORDS) $(GROUNDS),$(wildcard benchmarks/*.py)); do \
 		echo "== $$file"; $(PYTHON) $$file || exit 1; done
 
 figures: everything

@@ -27,7 +27,8 @@ setup(
     description="Condition monitor for electrohydraulic actuators",
     license="Apache-2.0",
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
-    package_data={NAME: ["py.typed", "reports/templates/*", "dashboard/*.css", "dashboard/*.js",
+    package_data={NAME: ["py.typed", "signatures.json", "reports/templates/*", "dashboard/*.css",
+                         "dashboard/*.js",
                          "exports/fmu/*.c", "exports/templates/*"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),

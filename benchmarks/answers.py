@@ -80,10 +80,11 @@ def imported(file: str, config: str, work: Path) -> Path:
 
 def questions(work: Path) -> dict[str, list[object]]:
     """Return name -> arguments of the command that answers, recordings made where missing."""
+    from strangers.draw import draw_rig
+    from strangers.generate import write
+
     from eha_monitor.concealed.draws import draw_cases
     from eha_monitor.concealed.generate import write_case
-    from eha_monitor.concealed.strangers.draw import draw_rig
-    from eha_monitor.concealed.strangers.generate import write
 
     found: dict[str, list[object]] = {}
     for name in ("hidden_friction", "air_ingress"):

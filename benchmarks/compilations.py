@@ -3,14 +3,13 @@
 Run as ``python benchmarks/compilations.py``: compiles all into an empty cache, then runs the
 commands and prints what they still compile, which is nothing; some minutes.  ``--record`` writes
 the time of the set-up to benchmarks/figures.  ``--write`` runs the commands first, with a cache
-that is empty, and writes ``eha_monitor/signatures.py`` from what they called: after a change of
+that is empty, and writes ``eha_monitor/signatures.json`` from what they called: after a change of
 what is compiled.
 """
 
 import collections
 import json
 import os
-import re
 import resource
 import subprocess
 import sys
@@ -23,29 +22,8 @@ from rich.console import Console
 from rich.table import Table
 
 ROOT = Path(__file__).parents[1]
-SIGNATURES = ROOT / "eha_monitor" / "signatures.py"
-HEAD = '''"""What commands call of what is compiled, with the types: generated, the longest first.
-
-``python benchmarks/compilations.py --write`` makes it; :mod:`eha_monitor.compile_all` reads it.
-"""
-
-import importlib
-
-from numba.core.types import Array, BaseTuple, UniTuple, bool, float64, int64, uint8
-
-
-def named(module: str, name: str, *fields) -> BaseTuple:
-    """Return the type of a named tuple of the package."""
-    return BaseTuple.from_types(fields, getattr(importlib.import_module(module), name))
-
-
-# What a simulator, a monitor and a replay call: `make demo` begins once these are compiled.
-LIVE = {live}
-# The named tuples of the package that they take.
-{tuples}SIGNATURES = (
-'''
+SIGNATURES = ROOT / "eha_monitor" / "signatures.json"
 LIVE = ("simulator", "monitor", "replay")
-NAMED = r"named\('[\w.]+', '(\w+)'"  # a named tuple of the package, in types
 # Commands on what `grounds` makes.  {k} is a bag there; a config stands beside its bag.
 ESTIMATES = {"plain": {}, "euler": {"discretisation": "euler"},
              "sampled": {"command_hold": "sampled"},
@@ -78,7 +56,7 @@ for names in (("x", "x_d", "omega", "p1", "p2"), ("x", "omega"), ("x", "p1", "p2
                 circuit_of(fit.theta, fit.active), np.zeros(len(position)))
     played(position, 1e-6)
 """
-# Each kind of config, row by row: as a monitor that is asked for nothing but its state.
+# Each kind of config, live: as a monitor that is asked for nothing but its state.
 PUSHED = """
 import sys
 from eha_monitor.live.estimator import LiveEstimator
@@ -88,9 +66,8 @@ from eha_monitor.settings import load_settings
 settings = load_settings(sys.argv[2])
 recording = read_recording(sys.argv[1], settings)
 live = LiveEstimator(settings)
-names = list(recording.channels)
-for k, row in enumerate(zip(*(v.tolist() for v in recording.channels.values()), strict=True)):
-    live.push(k * recording.sample_time, dict(zip(names, row, strict=True)))
+for k in range(0, len(recording), 10):
+    live.push_rows(recording.time[k:k + 10], recording.part(k, k + 10).channels)
 live.snapshot()
 live.rehearse()
 """
@@ -191,43 +168,9 @@ def write_signatures(lines: list[list]) -> None:
             if command[1:2] and command[1] in LIVE:
                 live.add(one[:2])
     ordered = [one for one, _ in sorted(seconds.items(), key=lambda item: (-item[1], item[0]))]
-    every = [one for _, _, types in ordered for one in tuples_of(types)]
-    tuples = {re.match(NAMED, one)[1]: one for one in every}
-    places = "".join(f'    ("{module}", "{name}"),\n' for module, name in sorted(live))
-    text = HEAD.replace("{live}", f"(\n{places})").replace("{tuples}", "".join(
-        wrapped(f"{name} = named(", one[6:-1], ")") for name, one in tuples.items()))
-    for module, name, types in ordered:
-        for short, one in tuples.items():
-            types = types.replace(one, short)
-        text += wrapped(f'    ("{module}", "{name}", (', types[1:-1].removesuffix(","), ")),")
-    SIGNATURES.write_text(f"{text})\n")
-
-
-def tuples_of(types: str) -> list[str]:
-    """Return each ``named(...)`` in types as they are written."""
-    found = []
-    for start in (match.start() for match in re.finditer(NAMED, types)):
-        end, depth = types.index("(", start) + 1, 1
-        while depth:
-            depth += {"(": 1, ")": -1}.get(types[end], 0)
-            end += 1
-        found.append(types[start:end])
-    return found
-
-
-def wrapped(head: str, words: str, foot: str) -> str:
-    """Return words between a head and a foot, on one line or in lines of the source's width."""
-    words = re.split(r", (?!:)", words)
-    foot = "," * (len(words) == 1) + foot  # a tuple of one
-    if len(line := f"{head}{', '.join(words)}{foot}") <= 99:
-        return f"{line}\n"
-    indent = " " * (len(head) - len(head.lstrip()) + 3)
-    text, line = f"{head}\n", indent
-    for word in (*(f" {word}," for word in words[:-1]), f" {words[-1]}{foot}"):
-        if len(line) + len(word) > 99:
-            text, line = f"{text}{line}\n", indent
-        line += word
-    return f"{text}{line}\n"
+    made = {"live": sorted(live), "signatures": ordered}
+    SIGNATURES.write_text("{\n" + ",\n".join(f' "{key}": [\n' + ",\n".join(
+        f"  {json.dumps(one)}" for one in rows) + "\n ]" for key, rows in made.items()) + "\n}\n")
 
 
 def show(title: str, lines: list[list], most: int) -> None:
@@ -249,7 +192,7 @@ def show(title: str, lines: list[list], most: int) -> None:
 def main() -> None:
     """Compile, run, print."""
     parser = record.options(__doc__)
-    parser.add_argument("--write", action="store_true", help="eha_monitor/signatures.py")
+    parser.add_argument("--write", action="store_true", help="eha_monitor/signatures.json")
     parser.add_argument("--most", type=int, default=25, help="functions in the table")
     asked = parser.parse_args()
     with tempfile.TemporaryDirectory() as scratch:
@@ -281,8 +224,8 @@ def main() -> None:
             write_signatures(lines_of(file))
             print(f"{SIGNATURES.relative_to(ROOT)} is written")
         elif late := before - at_set_up:
-            sys.exit(f"{late} functions are compiled after the set-up: eha_monitor/signatures.py "
-                     "lacks them; --write makes it")
+            sys.exit(f"{late} functions are compiled after the set-up: {SIGNATURES.name} lacks "
+                     "them; --write makes it")
 
 
 if __name__ == "__main__":

@@ -1,28 +1,21 @@
 """What ``diagnose`` costs, start included.
 
-    python benchmarks/diagnosis_speed.py [--runs N] [--quick] [--lengths S ...]
-    python benchmarks/diagnosis_speed.py --draws N [--seed S]
+    python benchmarks/diagnosis_speed.py [--draws N] [--seed S]
 
-Wall time, processor time and memory of a process, and how often the filter ran: plain runs, and
-passes that carry tangents of many parameters side by side.  The recordings are made of 6 s
-stretches of rich motion at 1 kHz (triangles, multisine, steps) with nothing, 40 N of dry friction,
-or three effects in them; the longer ones have the dry friction.
-
-With ``--draws`` nothing of that, but N concealed draws of each kind in :data:`KINDS`, 24 s each on
-drawn rigs whose configs are exact, within their tolerances or off in one number: seconds of
-processor of a process that reads and diagnoses, median and worst of each kind, with the filter's
-runs and what was named, beside how many plain filterpy steps the same processor takes in a second
-before, between and after.
+N concealed draws of each kind in :data:`KINDS`, 24 s each on drawn rigs whose configs are exact,
+within their tolerances or off in one number: seconds of processor of a process that reads and
+diagnoses, median and worst of each kind, with the filter's runs (plain ones, and passes that carry
+tangents of many parameters side by side) and what was named, beside how many plain filterpy steps
+the same processor takes in a second before, between and after.  Longer recordings:
+``long_recordings.py``.
 """
 
 import argparse
 import json
-import os
 import resource
 import subprocess
 import sys
 import tempfile
-import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -34,14 +27,6 @@ from rich.table import Table
 if TYPE_CHECKING:
     from eha_monitor.mismatch.diagnosis import Diagnosis
 
-LENGTHS = (12, 24, 48)  # s
-# What is concealed -> effects, and what 24 s of it may take on two cores: s, filter runs.
-SETS = {
-    "nothing": ((), 5.0, 150),
-    "dry friction": ((("coulomb_friction", 1.0),), 5.0, 150),
-    "three effects": ((("coulomb_friction", 1.0), ("pump_volumetric_loss", 1.0),
-                       ("position_delay", 1.0)), 10.0, 400),
-}
 # Kind of draw -> (concealed effects: of which ``dry`` is a law of dry friction; recordings).
 KINDS = {
     "clean": ((), 1),
@@ -52,38 +37,6 @@ KINDS = {
     "two recordings": (("dry", "any"), 2),
 }
 MEDIAN, WORST = 10.0, 30.0  # s of processor that a draw may take
-ONE = "dry friction"
-
-
-def bag_of(seconds: int, folder: Path, concealed: str = ONE) -> tuple[Path, Path]:
-    """Make a recording of some 6 s stretches; returns bag and nominal config."""
-    from eha_monitor.concealed.cases import LENGTHS as MOTIONS
-    from eha_monitor.concealed.cases import SAMPLE_TIME, Case, demanded_position
-    from eha_monitor.concealed.generate import write_case
-
-    each = MOTIONS["short"]
-    t = np.arange(round(each / SAMPLE_TIME)) * SAMPLE_TIME
-    demand = np.concatenate([demanded_position("short", t, seed)
-                             for seed in range(round(seconds / each))])
-    name = f"speed_{seconds}_{concealed.replace(' ', '_')}"
-    return write_case(Case(name, SETS[concealed][0], demand=demand, seed=1), folder)
-
-
-def spent(bag: Path, config: Path) -> tuple[float, float, float]:
-    """Return what one ``diagnose`` in a process of its own takes.
-
-    Wall and processor time in s, peak memory in MB.
-    """
-    started = time.perf_counter()
-    process = subprocess.Popen(
-        [sys.executable, "-m", "eha_monitor", "diagnose", str(bag), "--config", str(config)],
-        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-        cwd=Path(__file__).resolve().parent.parent)
-    _, status, usage = os.wait4(process.pid, 0)
-    if status:
-        raise SystemExit(f"{bag}: diagnose ended with status {status}")
-    return (time.perf_counter() - started, usage.ru_utime + usage.ru_stime,
-            usage.ru_maxrss / 1024.0)
 
 
 def filter_runs(bags: list[Path], config: Path) -> tuple[int, int, "Diagnosis"]:
@@ -180,57 +133,17 @@ def one_draw(config: Path, bags: list[Path]) -> None:
                       "answer": ": ".join(filter(None, (found.verdict, ", ".join(names))))}))
 
 
-def measure(runs: int, lengths: tuple[int, ...], folder: Path, table: Table) -> None:
-    """Add the rows of what ``diagnose`` costs."""
-    for concealed, (_, aim, most) in SETS.items():
-        bag, config = bag_of(24, folder, concealed)
-        spent(bag, config)  # compiles whatever is not compiled yet
-        wall, processor, memory = np.median([spent(bag, config) for _ in range(runs)], axis=0)
-        plain, passes, _ = filter_runs([bag], config)
-        table.add_row(f"24 s, {concealed} (median of {runs})", f"{wall:.1f}", f"{processor:.1f}",
-                      f"{memory:.0f}", f"{plain} + {passes}", f"≤ {aim:g} s, {most} runs")
-    table.add_section()
-    found: dict[int, float] = {}
-    for seconds in lengths:
-        bag, config = bag_of(seconds, folder)
-        wall, processor, memory = np.median([spent(bag, config) for _ in range(runs)], axis=0)
-        found[seconds] = processor
-        table.add_row(f"{seconds} s, {ONE} (median of {runs})", f"{wall:.1f}", f"{processor:.1f}",
-                      f"{memory:.0f}", "", "")
-    if len(found) > 1:
-        slope, start = np.polyfit(list(found), list(found.values()), 1)
-        bend = max(abs(value - start - slope * seconds) / value
-                   for seconds, value in found.items())
-        table.add_row(f"start and what does not grow {start:.1f} s of processor, then {slope:.3f} "
-                      f"s for each s; off that line by at most {bend:.0%}", "", "", "", "",
-                      "linear")
-
-
 def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--runs", type=int, default=3, help="of each length")
-    parser.add_argument("--quick", action="store_true", help="24 s only, one run")
-    parser.add_argument("--lengths", type=int, nargs="+", default=LENGTHS,
-                        help="of the recordings, s; 60 240 960 takes minutes")
-    parser.add_argument("--draws", type=int, help="concealed draws of each kind, and nothing else")
+    parser.add_argument("--draws", type=int, default=1, help="of each kind")
     parser.add_argument("--seed", type=int, default=1, help="of the draws")
     parser.add_argument("--one", nargs="+", help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.one:
         one_draw(Path(options.one[0]), [Path(bag) for bag in options.one[1:]])
         return
-    if options.draws:
-        Console(width=120).print(draws_table(options.draws, options.seed))
-        return
-    table = Table(title=f"diagnose on {len(os.sched_getaffinity(0))} cores, start included")
-    for column in ("", "wall time, s", "processor, s", "memory, MB", "runs + tangent passes",
-                   "has to be"):
-        table.add_column(column)
-    with tempfile.TemporaryDirectory() as folder:
-        measure(1 if options.quick else options.runs,
-                () if options.quick else tuple(options.lengths), Path(folder), table)
-    Console(width=120).print(table)
+    Console(width=120).print(draws_table(options.draws, options.seed))
 
 
 if __name__ == "__main__":

@@ -170,8 +170,7 @@ def write(folder: Path) -> None:
     from math import radians, sin
 
     from quarter_hour import ATMOSPHERE, EXCEL, SINES, Sheet, excel, rig
-
-    from eha_monitor.concealed.strangers.plant import recording
+    from strangers.plant import recording
 
     sheet = Sheet(40, 25, 1, 160, 40, 60, 3.1, 15)
     weight = 60 * 9.81 * sin(radians(20))

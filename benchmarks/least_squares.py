@@ -2,7 +2,7 @@
 
     python benchmarks/least_squares.py [--rigs 24] [--seed 16001] [--record]
 
-Rigs by equations that are not the package's (``concealed/strangers``: friction of six laws, drive
+Rigs by equations that are not the package's (``benchmarks/strangers``: friction of six laws, drive
 lags, digital holds, wrong data sheets), each recorded under several settings and estimated with
 the config that ``init`` would draft of its data sheet.  Counted is how far the value of the stages
 is from the truth wherever it is ``converged``, and how far what is judged (least squares where the
@@ -22,8 +22,8 @@ import record
 from rich.console import Console
 from rich.table import Table
 
-from eha_monitor.concealed.strangers.draw import draw_rig
-from eha_monitor.concealed.strangers.generate import record as recorded, truth_of
+from strangers.draw import draw_rig
+from strangers.generate import record as recorded, truth_of
 from eha_monitor.errors import InputError
 from eha_monitor.estimation.pipeline import estimate
 

@@ -16,6 +16,9 @@ from pathlib import Path
 
 import numpy as np
 import record
+from strangers.draw import draw_rig
+from strangers.generate import record as recorded
+from strangers.generate import truth_of
 
 from eha_monitor.balances.alone import alone
 from eha_monitor.balances.baseline import baseline
@@ -25,9 +28,6 @@ from eha_monitor.balances.machine import Machine, machine_of, rms
 from eha_monitor.balances.policy import POLICY
 from eha_monitor.balances.table import tables_of
 from eha_monitor.balances.together import Recordings, unseen
-from eha_monitor.concealed.strangers.draw import draw_rig
-from eha_monitor.concealed.strangers.generate import record as recorded
-from eha_monitor.concealed.strangers.generate import truth_of
 from eha_monitor.errors import InputError
 from eha_monitor.recordings.importing import read_table
 from eha_monitor.settings import load_settings

@@ -1,8 +1,7 @@
-"""The figures of a sealed trial or of a ground, from the result that `prove --json` wrote.
+"""The figures of a sealed trial, from the result that `prove --json` wrote.
 
     eha-monitor prove --cases 200 --seed 4242 --oracle --json trial.json
     python benchmarks/proof_figures.py trial.json --record
-    python benchmarks/proof_figures.py simulator.json --record
 
 The table says at which commit the answers were given; a result of other source is refused, so run
 this where the trial was run.
@@ -27,14 +26,8 @@ def main() -> int:
     options.add_argument("result", type=Path, help="what `prove --json` wrote")
     given = options.parse_args()
     found = json.loads(given.result.read_text(encoding="utf-8"))
-    ground = found.get("ground", "draws")
-    if ground not in ROWS:
-        print(f"{given.result}: expected a result of one of the grounds {', '.join(ROWS)}, not "
-              f"{ground}", file=sys.stderr)
-        return 2
-    if {row["kind"] for row in found["rows"]} == {"outside"}:
-        ground = "outside"
-    rows_of, write = ROWS[ground]
+    outside = {row["kind"] for row in found["rows"]} == {"outside"}
+    rows_of, write = ROWS["outside" if outside else "draws"]
     rows = rows_of(found)
     for row in rows:
         print("  ".join(filter(None, row.values())))
@@ -123,33 +116,10 @@ def mark(words: str, value: str, aim: str = "") -> dict[str, str]:
     return {"mark": words, "value": value, "aim": aim}
 
 
-def ground_rows(found: dict) -> list[dict]:
-    """Return what was asked of a ground, and what it found."""
-    rows, parameters = found["rows"], [one for one in found["parameters"] if one["aim"]]
-    right = sum(bool(row["within_class"]) for row in rows)
-    close = sum(bool(one["within"]) for one in parameters)
-    aim = 100 * max((one["aim"] for one in parameters), default=0.0)
-    missed = [row["case"] for row in rows if not row["within_class"]]
-    return [{"what": WHAT[found["ground"]],
-             "found": f"{right} of {len(rows)} within class"
-                      + (f" (not {', '.join(missed)})" if missed else "")
-                      + (f"; {close} of {len(parameters)} parameters within {aim:.0f} %"
-                         if parameters else ""),
-             "published": ""}]
-
-
-WHAT = {
-    "simulator": "Hopsan: 14 rigs, rich motion, triangle and both together",
-    "mcmaster": "the McMaster actuator in its three states",
-    "triangle": "the paper's triangle with Coulomb friction, and a second recording as advised",
-}
 HELD = {"measures": MEASURED, "held_by": "commit"}
 ROWS = {
     "outside": (outside_rows, lambda made: record.write("outside", made, **HELD)),
     "draws": (trial_rows, lambda made: record.write("proof", made, **HELD)),
-    "simulator": (ground_rows, lambda made: record.write("simulator_ground", made, **HELD)),
-    "mcmaster": (ground_rows, lambda made: record.write("mcmaster_ground", made, **HELD)),
-    "triangle": (ground_rows, lambda made: record.write("triangle_ground", made, **HELD)),
 }
 
 

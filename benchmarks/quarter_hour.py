@@ -21,9 +21,9 @@ import record
 from rich.console import Console
 from rich.table import Table
 from stranger_parts.commands import answer_of, shell, shown
+from strangers.plant import Constants, Drive, Motion, Sensors, recording
 from strangers.rigs import Dialect, Rig
 
-from eha_monitor.concealed.strangers.plant import Constants, Drive, Motion, Sensors, recording
 from eha_monitor.settings import load_settings
 
 MEASURES = ("eha_monitor/draft", "eha_monitor/plausibility", "eha_monitor/recordings",

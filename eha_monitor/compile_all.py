@@ -1,12 +1,14 @@
 """Compiles all that a recording or a live actuator can ask for: what `make setup` does once.
 
-Run as ``python -m eha_monitor.compile_all``.  Nothing is run for it: :mod:`eha_monitor.signatures`
-lists what the commands call from Python, and with which types; what these functions call comes
-along.  Two processes and more share the list.
+Run as ``python -m eha_monitor.compile_all``.  Nothing is run for it: ``signatures.json`` lists
+what the commands call from Python, and with which types, the longest first; what these functions
+call comes along.  Two processes and more share the list, which ``python benchmarks/compilations.py
+--write`` makes.
 """
 
 import argparse
 import importlib
+import json
 import os
 import shutil
 import sys
@@ -14,18 +16,32 @@ import tempfile
 from collections.abc import Collection, Sequence
 from pathlib import Path
 
+from numba.core import types
+
 from eha_monitor.archive.run import on_this_machine
 from eha_monitor.compiled import ANNOUNCER, CACHE
 from eha_monitor.compiled_cache import shipped
-from eha_monitor.signatures import LIVE, SIGNATURES
+
+LIST = json.loads((Path(__file__).parent / "signatures.json").read_text(encoding="utf-8"))
+# What a simulator, a monitor and a replay call: `make demo` begins once these are compiled.
+LIVE = {tuple(one) for one in LIST["live"]}
+SIGNATURES = LIST["signatures"]  # module, function, types as numba writes them
+
+
+def types_of(words: str) -> tuple:
+    """Return the types of a signature; a named tuple of the package is ``named(...)``."""
+    def named(module: str, name: str, *fields: types.Type) -> types.Type:
+        return types.BaseTuple.from_types(fields, getattr(importlib.import_module(module), name))
+
+    return eval(words, {**vars(types), "named": named})
 
 
 def compile_lines(places: Sequence[int]) -> None:
     """Compile lines of the list, or find that they have been compiled."""
     ANNOUNCER.quiet = True  # the set-up has said so
     for place in places:
-        module, name, types = SIGNATURES[place]
-        getattr(importlib.import_module(f"eha_monitor.{module}"), name).compile(types)
+        module, name, words = SIGNATURES[place]
+        getattr(importlib.import_module(f"eha_monitor.{module}"), name).compile(types_of(words))
 
 
 def compile_all(processes: int, only: Collection[tuple[str, str]] = ()) -> None:
@@ -43,7 +59,7 @@ def compile_all(processes: int, only: Collection[tuple[str, str]] = ()) -> None:
     # A module's functions call the same ones: two processes would compile these twice.
     tasks: dict[str, list[int]] = {}
     for place, one in enumerate(SIGNATURES):
-        if not only or one[:2] in only:
+        if not only or tuple(one[:2]) in only:
             tasks.setdefault(one[0], []).append(place)
     if processes == 1:
         for places in tasks.values():

@@ -215,7 +215,7 @@ class Listed(event.Listener):
 
 
 def written(given: tuple | types.Type) -> str:
-    """Return types as :mod:`eha_monitor.signatures` has them."""
+    """Return types as ``signatures.json`` has them."""
     if isinstance(given, tuple):
         return f"({', '.join(map(written, given))}{',' * (len(given) == 1)})"
     if isinstance(given, types.BaseNamedTuple):

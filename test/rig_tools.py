@@ -116,3 +116,14 @@ def with_channels(recording: Recording, **channels) -> Recording:
     merged = {**recording.channels, **channels}
     return Recording(recording.sample_time,
                      {name: values for name, values in merged.items() if values is not None})
+
+
+def fed(live, rows, every=10):
+    """Give a live estimator rows, (time in s, row) each, some at a time; yield after each."""
+    rows = list(rows)
+    for start in range(0, len(rows), every):
+        batch = rows[start:start + every]
+        names = dict.fromkeys(name for _, row in batch for name in row)
+        live.push_rows(np.array([time for time, _ in batch]), {
+            name: np.array([row.get(name, np.nan) for _, row in batch]) for name in names})
+        yield start + len(batch)

@@ -15,8 +15,6 @@ from eha_monitor.settings import Settings, settings_from_tree
 SINE = {"kind": "sine", "frequency": 4.0, "amplitude": 0.01, "duration": 100.0}
 TRIANGLE = {"kind": "triangle", "duration": 100.0}
 MULTISINE = {"kind": "multisine", "frequency": 0.25, "amplitude": 0.03, "duration": 100.0}
-TWO_AREAS = {"area_1": 2e-3, "area_2": 1.65e-3, "volume_1": 2e-4, "volume_2": 1.5e-4,
-             "mass": 150.0, "pump_displacement": 6.7e-7, "position_gain": 11000.0}
 
 
 def record(motion, seconds, rig=None, seed=0, **simulation):
@@ -35,29 +33,6 @@ def test_a_step_of_the_modulus_is_followed(motion, before, after):
     assert found.joint.parameters["beta_e"].value == pytest.approx(after, rel=0.03)
     assert found.stage_two.value[10_000] == pytest.approx(before, rel=0.05)
     assert found.model.status == "consistent", found.model.message
-
-
-@pytest.mark.parametrize("motion", [SINE, TRIANGLE, MULTISINE], ids=["sine", "triangle", "multi"])
-def test_a_rig_with_two_areas_fits_its_own_simulation(motion):
-    found = estimate(record(motion, 16, TWO_AREAS), settings_from_tree({"rig": TWO_AREAS}, "t"))
-    assert found.model.status == "consistent", found.model.message
-    assert found.parameters["B"].value == pytest.approx(600.0, rel=0.01)
-    assert found.parameters["beta_e"].value == pytest.approx(6e8, rel=0.01)
-
-
-def test_a_pump_speed_in_the_wrong_unit_is_a_mismatch():
-    recording = record(TRIANGLE, 12)
-    recording.channels["omega"][:] *= 9.55
-    assert estimate(recording, Settings()).model.status == "mismatch"
-
-
-def test_lone_wild_samples_are_left_out_and_told():
-    recording = record(TRIANGLE, 12)
-    recording.channels["p1"][5000], recording.channels["x"][9000] = 1e12, 5.0
-    found = estimate(recording, Settings())
-    assert found.parameters["B"].value == pytest.approx(600.0, rel=0.01)
-    assert found.model.status == "consistent", found.model.message
-    assert sum("outlier" in note for note in found.warnings) == 2
 
 
 def test_a_config_keeps_what_it_leaves_out():

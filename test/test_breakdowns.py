@@ -4,10 +4,10 @@ Single rods, gravity, 500 Hz, digital hold, 12 bits, gauge pressures, play.
 """
 
 import pytest
+from strangers.draw import KINDS, LAWS, draw_rig
+from strangers.generate import recorded, settings_of
 
 from eha_monitor.api.read import checked
-from eha_monitor.concealed.strangers.draw import KINDS, LAWS, draw_rig
-from eha_monitor.concealed.strangers.generate import recorded, settings_of
 from eha_monitor.estimation.pipeline import estimate
 from eha_monitor.mismatch.compare.compared import compared
 from eha_monitor.mismatch.diagnose import diagnose

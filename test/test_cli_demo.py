@@ -4,8 +4,7 @@ import os
 from pathlib import Path
 
 import pytest
-
-from eha_monitor.demo import Children, DemoFailed, resource
+from demo import Children, DemoFailed
 
 ROOT = Path(__file__).parents[1]
 
@@ -28,13 +27,6 @@ def test_a_child_that_fails_is_told(tmp_path):
         children.start("estimate", "missing_bag")
         with pytest.raises(DemoFailed, match="status 2: eha_monitor: missing_bag: no such bag"):
             children.finish()
-
-
-def test_resources_of_the_demo_are_there():
-    for name in ("config/demo.yaml", "bags/air_ingress"):
-        assert Path(resource(name)).exists()
-    with pytest.raises(DemoFailed, match="bags/nothing"):
-        resource("bags/nothing")
 
 
 def test_bundled_bags_are_small():

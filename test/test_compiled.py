@@ -52,8 +52,9 @@ for bag in (everything, position):
     assert main(["estimate", str(bag), "--json", f"{bag}.json"]) == 0
     assert main(["diagnose", str(bag)]) == 0
 estimator = LiveEstimator(settings)
-for k, row in enumerate(zip(*(rows[name].tolist() for name in rows), strict=True)):
-    estimator.push(k * plant.dt, dict(zip(rows, row, strict=True)))
+for k in range(0, len(next(iter(rows.values()))), 10):
+    part = {name: values[k:k + 10] for name, values in rows.items()}
+    estimator.push_rows(plant.dt * np.arange(k, k + len(part["x"])), part)
 estimator.snapshot()
 """ + REPORT
 

@@ -29,7 +29,6 @@ from eha_monitor.concealed.draws import (
     SHARES,
     TWINS,
     draw_cases,
-    mcmaster_case,
     misconfigured,
 )
 from eha_monitor.concealed.generate import nominal_config, recording_of, write_case
@@ -337,16 +336,6 @@ def test_a_drawn_rig_runs_within_its_means():
             assert min(shown["p1"].min(), shown["p2"].min()) > 2e5
         if "omega" in shown:
             assert np.abs(shown["omega"]).max() < 550.0
-
-
-def test_second_published_rig():
-    case = mcmaster_case("normal", motion="short")
-    truth = truth_of(case)
-    assert truth["B"] == 2144.0
-    assert [one["name"] for one in truth["effects"]] == [
-        "coulomb_friction", "quadratic_friction", "cross_port_leakage", "leakage_offset"]
-    shown, _ = recording_of(case)
-    assert np.abs(shown["x"]).max() > 0.01
 
 
 def test_unknown_names_are_refused():

@@ -1,9 +1,9 @@
 """Rigs whose config is far from them: what least squares on the balances say is the answer."""
 
 import pytest
+from strangers.draw import draw_rig
+from strangers.generate import record, settings_of, truth_of
 
-from eha_monitor.concealed.strangers.draw import draw_rig
-from eha_monitor.concealed.strangers.generate import record, settings_of, truth_of
 from eha_monitor.mismatch.diagnose import FINER, diagnose
 
 DRY = {"coulomb_friction", "stribeck_friction", "presliding_friction", "pressure_friction"}

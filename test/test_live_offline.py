@@ -4,7 +4,7 @@ import math
 from pathlib import Path
 
 import pytest
-from rig_tools import MULTISINE, SINE, TRIANGLE, settings, simulated
+from rig_tools import MULTISINE, SINE, TRIANGLE, fed, settings, simulated
 from test_live_estimator import Stream, rows_of
 
 from eha_monitor.api.answer import judged
@@ -59,8 +59,7 @@ def test_a_monitor_that_is_seldom_asked_alarms_no_earlier(first):
     recording = read_recording(BAG, settings())
     offline = raised(judged(estimate(recording, settings()))[1])
     live, board = LiveEstimator(settings()), AlarmBoard(settings())
-    for count, (time, row) in enumerate(rows_of(recording)):
-        live.push(time, row)
+    for count in fed(live, rows_of(recording)):
         if count % 900 == first:
             snapshot = live.snapshot()
             board.update(snapshot.time_s, snapshot.parameters, None, snapshot.model.tainted)

@@ -4,10 +4,10 @@ import warnings
 
 import numpy as np
 import pytest
+from strangers.draw import draw_rig
+from strangers.generate import recorded, settings_of
 
 from eha_monitor.balances.answer import answered
-from eha_monitor.concealed.strangers.draw import draw_rig
-from eha_monitor.concealed.strangers.generate import recorded, settings_of
 
 CHARGE = 1.2e6
 

@@ -15,7 +15,7 @@ import pytest
 from eha_monitor.compiled import CACHE
 
 ROOT = Path(__file__).parents[1]
-LIST = "python benchmarks/compilations.py --write makes eha_monitor/signatures.py anew"
+LIST = "python benchmarks/compilations.py --write makes eha_monitor/signatures.json anew"
 # One process, for each takes a second to start: what any command compiled is told all the same.
 COMMANDS = """
 import json
@@ -60,8 +60,8 @@ for name, tree in (("euler", {"discretisation": "euler"}), ("held", {"command_ho
     assert main(["simulate", "--duration", "1", "--config", "config.yaml", "--out", name]) == 0
     assert main(["estimate", "plain", "--config", "config.yaml"]) == 0
 live = LiveEstimator(Settings())
-for k, row in enumerate(zip(*(v.tolist() for v in whole.channels.values()), strict=True)):
-    live.push(k * whole.sample_time, dict(zip(whole.channels, row, strict=True)))
+for k in range(0, len(whole), 10):
+    live.push_rows(whole.time[k:k + 10], whole.part(k, k + 10).channels)
 live.snapshot()
 live.rehearse()
 """

@@ -169,7 +169,9 @@ def test_pages_of_a_diagnosis(opened, tmp_path, name):
 
 
 def test_without_plotly_a_page_holds_its_pictures_alone(monkeypatch):
-    monkeypatch.setattr(plotly_chart.importlib.util, "find_spec", lambda name: None)
+    find = plotly_chart.importlib.util.find_spec
+    monkeypatch.setattr(plotly_chart.importlib.util, "find_spec",
+                        lambda name: None if name == "plotly" else find(name))
     monkeypatch.setattr(page, "packed_library", plotly_chart.packed_library.__wrapped__)
     html = diagnosis_page(ALL["coulomb"](), Settings())
     assert "data:image/png" in html and "DecompressionStream" not in html

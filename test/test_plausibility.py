@@ -11,7 +11,7 @@ import pytest
 from command_tools import refused
 from hypothesis import given, strategies
 from hypothesis import settings as property_settings
-from rig_tools import MULTISINE, TRIANGLE, motion, settings
+from rig_tools import MULTISINE, TRIANGLE, fed, motion, settings
 
 from eha_monitor import cli
 from eha_monitor.errors import InputError
@@ -374,8 +374,8 @@ def look_on(recording, config, seconds):
     from eha_monitor.live.estimator import LiveEstimator
 
     live = LiveEstimator(config)
-    for time, row in rows_of(recording.part(0, round(seconds / recording.sample_time))):
-        live.push(time, row)
+    for _ in fed(live, rows_of(recording.part(0, round(seconds / recording.sample_time)))):
+        pass
     return live.snapshot()
 
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from inverse_trial import CASES, MAKERS, right
+from balance_rigs import CASES, MAKERS, right
 from rig_tools import ROOT, real
 
 from eha_monitor.mismatch.data.experiment import by_balances

@@ -5,11 +5,11 @@ from pathlib import Path
 from rig_tools import settings
 from ros_tools import PATIENCE, command, end
 from test_live_offline import BAG, raised
+from watch import Watcher
 
 from eha_monitor.api.answer import judged
 from eha_monitor.estimation.pipeline import estimate
 from eha_monitor.recordings.read import read_recording
-from eha_monitor.ros.watch import Watcher
 
 
 def test_a_replay_alarms_when_the_bag_does_and_the_watcher_tells_the_bags_time(graph):

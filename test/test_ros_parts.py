@@ -42,7 +42,6 @@ def test_joints_of_two_messages_are_one_row(graph):
     for k, (_, row) in enumerate(estimator.rows):
         assert row == {"x": pytest.approx(0.001 * k), "omega": 100.0 + k}
     assert not [each for each in monitor.data.problems if "no entry" in each]
-    assert monitor.inputs[0].reader.apart  # read as columns, not one by one
 
 
 def test_a_number_that_lacks_is_told_and_no_joint_is_missed(graph):

@@ -5,11 +5,10 @@ from stranger_parts.commands import Answer, here
 from stranger_parts.mistakes import MISTAKES
 from stranger_parts.scoring import named
 from strangers.check import check
+from strangers.draw import draw_rig
+from strangers.generate import record, truth_of
 from strangers.rigs import CHIRP
 from wrong_inputs import Trial
-
-from eha_monitor.concealed.strangers.draw import draw_rig
-from eha_monitor.concealed.strangers.generate import record, truth_of
 
 BY_NAME = {mistake.name: mistake for mistake in MISTAKES}
 

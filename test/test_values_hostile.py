@@ -164,8 +164,10 @@ def test_any_values_give_an_estimate_or_one_line(recording, spoils, n, kept):
 def test_any_values_leave_the_live_estimator_standing(recording, spoils, n, kept):
     channels = hostile(recording, spoils, n, kept)
     estimator = LiveEstimator(settings())
-    for k, row in enumerate(zip(*(v.tolist() for v in channels.values()), strict=True)):
-        estimator.push(k * 1e-3, dict(zip(channels, row, strict=True)))
+    for k in range(0, n, 10):
+        rows = {name: values[k:k + 10] for name, values in channels.items()}
+        if rows:
+            estimator.push_rows(1e-3 * np.arange(k, k + len(next(iter(rows.values())))), rows)
     for parameter in estimator.snapshot().parameters.values():
         assert math.isfinite(parameter.value) == (parameter.status in ("converged", "not_excited"))
 
@@ -208,15 +210,15 @@ def test_a_defect_is_no_breakdown():
 
 def test_a_live_estimator_that_broke_down_begins_anew_and_tells(recording):
     estimator, said = LiveEstimator(settings()), []
-    rows = [dict(zip(recording.channels, row, strict=True))
-            for row in zip(*(v.tolist() for v in recording.channels.values()), strict=True)]
-    for k, row in enumerate(rows):
-        wild = {"x_d": 1e9} if 1000 <= k < 1300 else {}
-        estimator.push(k * 1e-3, row | wild)
+    for k in range(0, len(recording), 10):
+        rows = recording.part(k, k + 10).channels
+        wild = {"x_d": np.full(10, 1e9)} if 1000 <= k < 1300 else {}
+        estimator.push_rows(1e-3 * np.arange(k, k + 10), rows | wild)
     said = [event.message for event in estimator.snapshot().events]
     assert any("broke the calculation" in text for text in said), said
-    for k, row in enumerate(rows, len(rows)):
-        estimator.push(k * 1e-3, row)
+    for k in range(0, len(recording), 10):
+        estimator.push_rows(1e-3 * np.arange(k, k + 10) + recording.duration,
+                            recording.part(k, k + 10).channels)
     found = estimator.snapshot().parameters["B"]
     assert found.status == "converged" and found.value == pytest.approx(600.0, rel=0.02)
 

@@ -5,13 +5,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from eha_monitor.api.answer import judged
-from eha_monitor.commands.prove import drawn_cases
 from eha_monitor.estimation.joint import observability
 from eha_monitor.estimation.pipeline import estimate
 from eha_monitor.mismatch.compare.compared import compared
 from eha_monitor.mismatch.diagnose import diagnose
 from eha_monitor.physics.simulator import Simulator
-from eha_monitor.prove.trial import Trial, prove
+from eha_monitor.prove.trial import Trial, cases_of, prove
 from eha_monitor.quantity import in_units, rig_motion
 from eha_monitor.recordings.importing import read_table
 from eha_monitor.recordings.read import read_recording
@@ -150,7 +149,7 @@ def nights(command: str, count: int, seconds: float) -> Callable:
 
 def trial(folder: Folder) -> tuple:
     """Run a small trial on concealed effects."""
-    cases = drawn_cases(None, "mixed", 6, 3, "mixed")
+    cases = cases_of("mixed", 6, 3)
     work = folder.path / "trial"
     return prove(Trial(cases, 3, work, True, 1, "all"), lambda _: None, lambda *_: None), work
 

@@ -4,10 +4,10 @@ import copy
 from dataclasses import dataclass
 from pathlib import Path
 
+from strangers.plant import recording
 from strangers.record import config_of, write_csv
 from strangers.rigs import MICRO, SINGLE_ROD
 
-from eha_monitor.concealed.strangers.plant import recording
 from stranger_parts.commands import ROOT
 
 # base -> config of the project, file below the data folder

@@ -12,10 +12,10 @@ from itertools import chain, zip_longest
 from pathlib import Path
 
 import numpy as np
+from strangers.plant import recording
 from strangers.record import config_of, varied, write_config, write_csv
 from strangers.rigs import RIGS
 
-from eha_monitor.concealed.strangers.plant import recording
 from stranger_parts.bases import config_tree
 from stranger_parts.commands import Ran
 

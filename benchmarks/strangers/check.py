@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from eha_monitor.concealed.strangers.plant import (
+from strangers.plant import (
     N_STATE,
     P1,
     P2,

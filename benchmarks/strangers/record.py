@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from eha_monitor.concealed.strangers.plant import ATMOSPHERE, Motion
+from strangers.plant import ATMOSPHERE, Motion
 from strangers.rigs import Rig
 
 # SI per unit.

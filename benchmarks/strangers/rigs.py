@@ -6,7 +6,7 @@ friction, hold).  Loop gain K D/A below a third of B/M keeps the oil column stab
 
 from dataclasses import dataclass, field
 
-from eha_monitor.concealed.strangers.plant import DAHL, STRIBECK, Constants, Drive, Motion, Sensors
+from strangers.plant import DAHL, STRIBECK, Constants, Drive, Motion, Sensors
 
 
 @dataclass(frozen=True)

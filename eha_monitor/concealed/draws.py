@@ -42,16 +42,6 @@ FARTHEST = 300.0  # factor by which nobody errs, not even in a leakage
 # A number and an effect that are one equation: with both concealed there is no one answer.
 TWINS = {"M": "added_mass", "D_p": "pump_flow_gain", "C_T": "cross_port_leakage",
          "K_pos": "drive_gain"}
-# McMaster (Gadsden, Habibi): friction a2 v + (a1 v^2 + a3) sgn v, leakage L dp + Q_L0 sgn dp.
-MCMASTER_RIG = {
-    "A": 1.52e-3, "D_p": 5.57e-7, "M": 7.376, "V": 1.08e-3, "beta_e": 2.07e8,
-    "K_pos": 22000.0, "C_T": 5e-13, "p_charge": 8e6,
-}
-MCMASTER = {  # L, Q_L0, a1, a2, a3 in SI
-    "normal": (4.78e-12, 2.41e-6, 6.589e4, 2.144e3, 436.0),
-    "leakage": (6.01e-11, 1.47e-5, 6.589e4, 2.144e3, 436.0),
-    "friction": (4.78e-12, 2.41e-6, 4.462e6, 1.863e4, 551.0),
-}
 
 
 def draw_rig(rng: np.random.Generator) -> dict[str, float]:
@@ -124,28 +114,6 @@ def draw_names(count: int, rng: np.random.Generator) -> list[str]:
         if len(chosen) < count and not any(one in family for one in chosen):
             chosen.append(name)
     return chosen
-
-
-def mcmaster_case(state: str, *, motion: str = "rich", seed: int = 0,
-                  demand: np.ndarray | None = None) -> Case:
-    """Return the second published EHA in one of its states.
-
-    The nominal config has viscous friction alone, a2 of the normal state, and the leakage of the
-    paper's EHA; what is concealed is the rest.  The leakage L of the publication is C_T/2 of the
-    config and the concealed one together.
-
-    Parameters
-    ----------
-    state : ``normal``, ``leakage`` (major) or ``friction`` (major).
-    demand : (n,) x_d in m at each sample, in place of the motion.
-    """
-    leak, offset, a_1, a_2, a_3 = MCMASTER[state]
-    added = leak - 0.5 * MCMASTER_RIG["C_T"]
-    parameters = {"coulomb_friction": {"F_c": a_3}, "quadratic_friction": {"a_1": a_1},
-                  "cross_port_leakage": {"L": added}, "leakage_offset": {"Q_0": offset}}
-    return Case(f"mcmaster_{state}", tuple((name, 1.0) for name in parameters), motion=motion,
-                seed=seed, rig={**MCMASTER_RIG, "B": a_2}, options=parameters, demand=demand,
-                nominal={"B": MCMASTER["normal"][3], "beta_e": MCMASTER_RIG["beta_e"]})
 
 
 def misconfigured(cases: Iterable[Case], seed: int, kind: str = "mixed") -> list[Case]:

@@ -13,7 +13,6 @@ is when within a sample the pump turned.  The bulk modulus is fitted anew for ea
 innovations e of position and force, log L = -(n/2) log det(1/n sum e e').
 """
 
-import itertools
 import math
 from dataclasses import dataclass, replace
 from typing import NamedTuple
@@ -378,7 +377,7 @@ FINEST = 1e-15  # least noise of a sensor, SI
 UNSURE = 4.0  # times the usual variance of the input
 SMOOTH_S, SMOOTHED = 0.012, 7  # s and least samples over which velocity is taken
 IDEAL, BLOCK = 1.5, 16  # variance over that of the noise, sample by sample and in means
-CUBIC = 4  # coefficients
+CUBIC = 3  # degree
 CREEP = 0.02  # of the highest speed, over which dry friction builds up
 
 
@@ -616,73 +615,21 @@ def friction_of(x: np.ndarray, force: np.ndarray, settings: Settings, dt: float,
     F - M a = F_0 + B v + F_c tanh(v/v_c) + a_2 v |v| by least squares, friction never negative; of
     the last two ``terms`` are taken.
     """
+    from scipy.optimize import nnls
+    from scipy.signal import savgol_filter
+
     rig, index = settings.rig, np.arange(len(x))
     good = np.isfinite(x)
     window = max(SMOOTHED, round(SMOOTH_S / dt) // 2 * 2 + 1)
     filled = np.interp(index, index[good], x[good])
-    v, a = local_derivatives(filled, window, dt)
+    v, a = (savgol_filter(filled, window, CUBIC, deriv=order, delta=dt) for order in (1, 2))
     highest = max(float(np.abs(v).max()), 1e-12)
     columns = np.column_stack([np.ones(len(v)), v / highest, np.tanh(v / (CREEP * highest)),
                                v * np.abs(v / highest) / highest][: 2 + terms])
     rest = force - rig.mass * a
     rows = np.isfinite(rest)
-    weights = fitted_with_signs(columns[rows], rest[rows])
+    # Only the constant force may have either sign: it is a difference of two.
+    weights = nnls(np.column_stack([columns, -columns[:, :1]])[rows], rest[rows])[0]
+    weights = np.append(weights[0] - weights[-1], weights[1:-1])
     damping = max(weights[1] / highest, 0.1 * rig.viscous_damping)
     return weights[0] + columns[:, 2:] @ weights[2:], (damping, np.inf)
-
-
-# Two fits in numpy alone: importing scipy takes as long as the estimate.
-
-
-def local_derivatives(x: np.ndarray, window: int, dt: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return x' and x'' of the cubic through each ``window`` samples (Savitzky and Golay 1964).
-
-    Parameters
-    ----------
-    x : (n,) at least ``window`` samples.
-    window : odd; the first and the last half of it are read from the outermost cubics.
-    dt : s.
-
-    Raises
-    ------
-    ValueError
-        There are fewer samples.
-    """
-    if len(x) < window:
-        raise ValueError(f"expected at least {window} samples, found {len(x)}")
-    half = window // 2
-    place = np.arange(-half, half + 1) / half
-    fit = np.linalg.pinv(np.vander(place, CUBIC, increasing=True))  # (CUBIC, window)
-    before, after = fit @ x[:window], fit @ x[-window:]
-    found = []
-    for order in (1, 2):
-        inner = np.convolve(x, order * fit[order][::-1], mode="valid")
-        ends = [np.polynomial.polynomial.polyval(
-            part, np.polynomial.polynomial.polyder(cubic, order))
-            for cubic, part in ((before, place[:half]), (after, place[half + 1:]))]
-        found.append(np.concatenate([ends[0], inner, ends[1]]) / (half * dt) ** order)
-    return found[0], found[1]
-
-
-def fitted_with_signs(columns: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Return the weights that fit ``y`` best, all but the first of them not negative.
-
-    Parameters
-    ----------
-    columns : (n, k), k a few: every choice of those that are 0 is tried, and the best is the
-        answer, because the problem is convex.
-    y : (n,).
-    """
-    k = columns.shape[1]
-    size = np.sqrt(np.mean(columns**2, axis=0))
-    unit = columns / np.where(size > 0.0, size, 1.0)
-    gram, side = unit.T @ unit, unit.T @ y
-    best, least = np.zeros(k), np.inf
-    for kept in itertools.product((False, True), repeat=k - 1):
-        taken = np.flatnonzero((True, *kept))
-        part = np.linalg.lstsq(gram[np.ix_(taken, taken)], side[taken], rcond=None)[0]
-        left = float(part @ gram[np.ix_(taken, taken)] @ part - 2.0 * part @ side[taken])
-        if (part[1:] >= 0.0).all() and left < least:
-            best, least = np.zeros(k), left
-            best[taken] = part
-    return best / np.where(size > 0.0, size, 1.0)

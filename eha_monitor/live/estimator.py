@@ -89,18 +89,6 @@ class LiveEstimator:
 
     # ---- rows ----------------------------------------------------------------------------------
 
-    def push(self, time_s: float, row: dict[str, float]) -> None:
-        """Take one aligned row at a rising time; missing channels are absent or NaN."""
-        self._now = time_s
-        if self._gathered.add(time_s, row):
-            self._settle()
-
-    def _settle(self) -> None:
-        """Take the rows that came one by one."""
-        times, columns = self._gathered.singles()
-        if len(times):
-            self.push_rows(times, columns)
-
     @begins_anew
     def push_rows(self, times: np.ndarray, columns: Columns) -> None:
         """Take aligned rows at rising times, at most some tenths of a second of them.
@@ -110,7 +98,6 @@ class LiveEstimator:
         times : (n,) s.
         columns : channel -> (n,) SI, NaN where it has no value.
         """
-        self._settle()
         if not len(times):
             return
         self._now = float(times[-1])
@@ -159,7 +146,6 @@ class LiveEstimator:
 
     def past(self, since_s: float) -> list[tuple[np.ndarray, Columns]]:
         """Return the buffered rows from ``since_s`` on, in batches that are soon taken."""
-        self._settle()
         if self._grid is None:
             return []
         buffer = self._grid.buffer
@@ -176,7 +162,6 @@ class LiveEstimator:
 
     def withdraw(self, channel: str, since_s: float) -> None:
         """Take back what a channel gave from ``since_s`` on: it was no measurement."""
-        self._settle()
         if self._grid is None:
             self._gathered.first()
             return
@@ -499,7 +484,6 @@ class LiveEstimator:
 
     def snapshot(self) -> LiveSnapshot:
         """Return the present estimates; the events are handed out once."""
-        self._settle()
         state = self._state
         events, self._events = tuple(sorted(self._events, key=lambda e: e.time_s)), []
         estimates = self._parameters()

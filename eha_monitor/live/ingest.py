@@ -1,6 +1,5 @@
 """How rows come into the live estimator: gathered, then put to their places on a uniform grid."""
 
-import math
 
 import numpy as np
 
@@ -18,23 +17,10 @@ Columns = dict[str, np.ndarray]
 
 
 class Gathered:
-    """Rows that wait: those that came one by one, and those of the first moments."""
+    """Rows of the first moments, which wait."""
 
     def __init__(self):
-        self._single: list[tuple[float, dict[str, float]]] = []
         self._early: list[tuple[np.ndarray, Columns]] = []
-
-    def add(self, time_s: float, row: dict[str, float]) -> bool:
-        """Let one row wait; True where they make a batch."""
-        self._single.append((time_s, row))
-        return len(self._single) >= BATCH
-
-    def singles(self) -> tuple[np.ndarray, Columns]:
-        """Hand out the rows that came one by one."""
-        waiting, self._single = self._single, []
-        names = {name for _, row in waiting for name in row}
-        return np.array([time for time, _ in waiting]), {
-            name: np.array([row.get(name, math.nan) for _, row in waiting]) for name in names}
 
     def warm(self, times: np.ndarray, columns: Columns) -> bool:
         """Let rows of the first moments wait; True where they are enough to start.

@@ -1,18 +1,15 @@
 """Marks of a trial: what was concealed against what was said.  docs/proof.md defines each mark.
 
 Of the rig's numbers a pair such as ``area_1``, ``area_2`` is one here (``area``): the plant is
-symmetric.  Curves of detection: the probability of the right name against what can be detected at
-all.  Of calibration: what was stated with 90 % has to be so in 90 %.
+symmetric.  Calibration: what was stated with 90 % has to be so in 90 %.
 """
 
 import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
-from itertools import pairwise
 from statistics import median
 
 import numpy as np
-from scipy.optimize import minimize
 
 OFF = 2.99  # tolerances from which a number has to be named: 3, less the rounding of the config
 NEAR = 2.0  # tolerances below which it must not be named; between the two it may be
@@ -80,75 +77,7 @@ def false_names(named: Sequence[str], paired: Sequence[str], errors: dict[str, f
     return [name for name in named if name not in paired and errors.get(name, 0.0) < NEAR]
 
 
-RIGHT = ("exact", "class")
-POINT = 0.95
-FEWEST = 4  # cases of an effect that get a curve of their own
-STEEP, STEEP_SPREAD = 1.1, 0.6  # of the logarithm of the slope: prior, from which few cases borrow
-PLACE_SPREAD = 2.0  # of the logarithm of the middle
 BINS = 10  # of stated probabilities, of equal width, from 0 to 1
-EDGES = (0.0, 0.5, 1.0, 1.4, 2.0, 3.0, 5.0, 10.0, 30.0, 100.0, np.inf)
-
-
-def curve_of(units: np.ndarray, right: np.ndarray) -> dict:
-    """Fit P = 1/(1 + (m/u)^b) and return it.
-
-    Parameters
-    ----------
-    units : (n,) strength in units of what an oracle just detects.
-    right : (n,) bool, the right name or its declared class was said.
-
-    Returns
-    -------
-    dict
-        ``middle`` m, ``slope`` b, ``point_95`` units at which P is 95 %, ``n``.
-    """
-    u = np.log(np.maximum(np.asarray(units, dtype=float), 0.03))
-    right = np.asarray(right, dtype=bool)
-
-    def cost(p: np.ndarray) -> float:
-        at = np.exp(p[1]) * (u - p[0])
-        signed = np.where(right, at, -at)
-        return float(np.logaddexp(0.0, -signed).sum() + 0.5 * (p[0] / PLACE_SPREAD) ** 2
-                     + 0.5 * ((p[1] - STEEP) / STEEP_SPREAD) ** 2)
-
-    start = min(((place, STEEP) for place in np.linspace(-2.0, 6.0, 17)),
-                key=lambda p: cost(np.array(p)))
-    found = minimize(cost, np.array(start), method="Nelder-Mead")
-    middle, slope = float(np.exp(found.x[0])), float(np.exp(found.x[1]))
-    return {"middle": middle, "slope": slope, "n": len(right),
-            "point_95": middle * (POINT / (1.0 - POINT)) ** (1.0 / slope)}
-
-
-def curves_of(detection: list[dict]) -> dict[str, dict]:
-    """Return the curve of all single effects together (``all``), and of each with cases enough.
-
-    Empty without an oracle: then nobody knows what can be detected.
-    """
-    known = [one for one in detection if one["units"] is not None]
-    found = {}
-    for name in ("all", *sorted({one["effect"] for one in known})):
-        mine = [one for one in known if name in ("all", one["effect"])]
-        if len(mine) >= FEWEST:
-            found[name] = curve_of(np.array([one["units"] for one in mine]),
-                                   np.array([one["said"] in RIGHT for one in mine]))
-    return found
-
-
-def binned(detection: list[dict]) -> list[dict]:
-    """Return shares of right names by units, with Wilson's 68 % interval."""
-    found = []
-    known = [one for one in detection if one["units"] is not None]
-    for low, high in pairwise(EDGES):
-        mine = [one for one in known if low <= one["units"] < high]
-        if not mine:
-            continue
-        n, hits = len(mine), sum(one["said"] in RIGHT for one in mine)
-        p = hits / n
-        low_share, high_share = wilson(p, n)
-        place = np.exp(np.mean(np.log([max(one["units"], 0.1) for one in mine])))
-        found.append({"units": float(place), "share": p, "n": n,
-                      "low": float(low_share), "high": float(high_share)})
-    return found
 
 
 def wilson(share: np.ndarray | float, n: np.ndarray | int) -> tuple:
@@ -213,7 +142,6 @@ def calibration_error(bins: Sequence[dict]) -> float | None:
 
 LARGEST_CLASS = 3  # members of a declared class: the name and at most two rivals
 DETECTABLE = 20.0  # log units that an oracle gains within the tolerances: less need not be found
-JUST = 10.0  # log units: what an oracle can just detect
 CLOSE, BASE_CLOSE, SIGMAS = 0.05, 0.02, 2.0
 NOTABLE = 0.05  # of the error before: an oracle that takes away less says nothing of a removal
 STRENGTHS = {"1": 0.55, "0.3": 0.12, "0.05": 0.0}  # name -> least strength of its bin
@@ -376,7 +304,7 @@ def row_of(truth: dict, answer: dict | None, oracle: dict | None = None,
         "probabilities": statements_of(answer, findings, list(pairs.values()), consistent,
                                        shown),
         "motion": truth.get("motion"), "noise": truth.get("noise"),
-        "channels": truth.get("channels"), "group": truth.get("group"),
+        "channels": truth.get("channels"),
         "wall_s": answer.get("wall_s"), "seconds": (run or {}).get("seconds"),
     }
 
@@ -613,24 +541,6 @@ def confusion(rows: Sequence[dict]) -> dict[str, dict[str, int]]:
             if said:
                 table.setdefault(NONE, Counter()).update(said)
     return {name: dict(counts.most_common()) for name, counts in sorted(table.items())}
-
-
-def detection(rows: Sequence[dict]) -> list[dict]:
-    """Return the single effects with their strength in units of what an oracle just detects."""
-    found = []
-    for row in rows:
-        if row["kind"] != "single":
-            continue
-        name = row["truth"][0]
-        gain = row["log_evidence"].get(name)
-        found.append({
-            "case": row["case"], "effect": name, "strength": abs(row["strength"][name]),
-            "units": math.sqrt(max(gain, 0.0) / JUST) if gain is not None else None,
-            "said": ("exact" if row["exact"] else "class" if name in row["pairs"]
-                     and not row["confident_wrong"] else "wrong" if row["named"] else
-                     "unexplained" if row["verdict"] == UNEXPLAINED else "nothing"),
-        })
-    return found
 
 
 def learned_row(truth: dict, answer: dict) -> dict | None:

@@ -1,8 +1,7 @@
 """The concealed-effect trial: recordings made, key sealed, diagnosed by others, opened, scored.
 
 The diagnosis of each case is a process of its own, the public ``diagnose`` command, under a guard
-(:mod:`eha_monitor.prove.blind`) that lets it open its bag and its nominal config only.  It is a
-fork of one that has the program loaded (:mod:`eha_monitor.prove.warm`).
+(:mod:`eha_monitor.prove.blind`) that lets it open its bag and its nominal config only.
 
 A trial's folder::
 
@@ -25,22 +24,16 @@ from dataclasses import dataclass, replace
 from multiprocessing import get_context
 from pathlib import Path
 
-import numpy as np
-
-from eha_monitor.concealed.cases import CONFIG_KEYS, TOLERANCES, Case, effect_names, truth_of
+from eha_monitor.concealed.cases import CONFIG_KEYS, TOLERANCES, Case, truth_of
 from eha_monitor.concealed.draws import SETS, draw_cases, misconfigured
-from eha_monitor.concealed.hidden import SIGNED
 from eha_monitor.errors import InputError
 from eha_monitor.output import source_digest as digest_of_source
 from eha_monitor.prove import score
 from eha_monitor.prove.children import Questions, children, kept
 from eha_monitor.prove.files import digest_of, read_json, write_json
-from eha_monitor.prove.score import binned, curves_of
 from eha_monitor.settings.monitor import Settings
 
-DRAWS = ("mixed", "ladder", "outside")
-WEAKEST, STRONGEST = 0.01, 1.2
-GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
+DRAWS = ("mixed", "outside")
 
 
 def cases_of(draw: str, count: int, seed: int, rig: str = "mixed",
@@ -49,33 +42,16 @@ def cases_of(draw: str, count: int, seed: int, rig: str = "mixed",
 
     Parameters
     ----------
-    draw : ``mixed`` (rigs, motions, sets of 0 to 3 effects, outside the catalogue), ``ladder``
-        (one effect on rich motion, each effect at strengths that fill the scale evenly) or
+    draw : ``mixed`` (rigs, motions, sets of 0 to 3 effects, outside the catalogue) or
         ``outside`` (rigs and motions; what no catalogue has, alone).
     rig : what the nominal configs say of the rig, one of :data:`KINDS`.
     settings : config on whose rig all cases are, ``source`` its name; drawn rigs without it.
     """
-    cases = (tuple(rung(i, seed) for i in range(count)) if draw == "ladder" else
-             tuple(draw_cases(count, seed, rig="exact", sets=(
-                 SETS if draw == "mixed" else {"outside": 1.0}))))
+    cases = tuple(draw_cases(count, seed, rig="exact", sets=(
+        SETS if draw == "mixed" else {"outside": 1.0})))
     if settings is not None:
         cases = on_rig(cases, settings, source)
     return tuple(misconfigured(cases, seed, rig))
-
-
-def rung(i: int, seed: int) -> Case:
-    """Return one case of the ladder; B and beta_e are not those of the nominal config."""
-    rng = np.random.default_rng([seed, i, 5])
-    names = np.random.default_rng([seed, 6]).permutation(effect_names())
-    turn, place = divmod(i, len(names))
-    name = str(names[place])
-    # Multiples of the golden ratio fill the interval evenly however many there are.
-    share = (GOLDEN * (turn + 1) + place / len(names)) % 1.0
-    strength = float(f"{WEAKEST * (STRONGEST / WEAKEST) ** share:.4g}")
-    if name in SIGNED and name != "cross_port_leakage" and rng.random() < 0.5:
-        strength = -strength
-    rig = {"B": round(rng.uniform(500.0, 900.0)), "beta_e": round(rng.uniform(4.5, 8.0), 2) * 1e8}
-    return Case(f"c{i + 1:03d}", ((name, strength),), seed=int(rng.integers(2**31)), rig=rig)
 
 
 def on_rig(cases: tuple[Case, ...], settings: Settings, source: str) -> tuple[Case, ...]:
@@ -108,7 +84,7 @@ SCHEMA = "eha_monitor/proof/1"
 PACKAGE = Path(__file__).parents[1]
 # What has a part in an answer.
 ROOMS = ("physics", "estimation", "balances", "mismatch", "recordings", "settings", "plausibility",
-         "api", "commands/diagnose.py", "prove/blind.py", "prove/warm.py", "words.py")
+         "api", "commands/diagnose.py", "prove/blind.py", "words.py")
 FEW = 4  # cases that are made without processes of their own
 
 Report = Callable[[str, float], None]
@@ -144,7 +120,6 @@ class Trial:
     oracle : also fit each case with a model that knows the effects, not the true rig.
     jobs : processes at a time; each gets its share of the cores.
     keep : which answers of an earlier run stay: of the ``same`` source, ``all``, ``none``.
-    groups : case -> name of a group that is marked by itself.
     questions : to be answered; without them one diagnosis of each recording by itself.
     conceal : writes the recording of a case into a folder and returns what is true of it.
     complete : given the opened key, returns it with what lies elsewhere and was sealed by digest.
@@ -156,7 +131,6 @@ class Trial:
     oracle: bool = False
     jobs: int = 0
     keep: str = "same"
-    groups: tuple[tuple[str, str], ...] = ()
     questions: tuple[Question, ...] = ()
     conceal: Callable[[Case, Path], dict] | None = None
     complete: Callable[[dict], dict] | None = None
@@ -325,7 +299,7 @@ def places(trial: Trial, name: str, folder: str) -> tuple[Path, Path, Path]:
 
 def result(trial: Trial, key: dict, sealed: str) -> dict:
     """Score the answers against the opened key; the contract's keys, then what extends it."""
-    rows, sources, groups = [], {}, dict(trial.groups)
+    rows, sources = [], {}
     truths = {truth["case"]: truth for truth in key["cases"]}
     for question in trial.all_questions():
         if question.command != "diagnose":
@@ -334,7 +308,7 @@ def result(trial: Trial, key: dict, sealed: str) -> dict:
         run = read_json(trial.work / "answers" / f"{name}.run.json") or {}
         sources[run.get("source", "")] = sources.get(run.get("source", ""), 0) + 1
         oracle = read_json(trial.work / "oracles" / f"{name}.json") if trial.oracle else None
-        rows.append(score.row_of({**truth, "case": name, "group": groups.get(name)},
+        rows.append(score.row_of({**truth, "case": name},
                                  read_json(trial.work / "answers" / f"{name}.json"), oracle, run))
     return {
         "schema": SCHEMA, "sealed_key_sha256": sealed, "cases": len(rows),
@@ -348,8 +322,7 @@ def result(trial: Trial, key: dict, sealed: str) -> dict:
         "by_noise": score.by_group(rows, lambda row: f"{row['noise']:g}"),
         "by_channels": score.by_group(rows, lambda row: ", ".join(row["channels"])),
         "reliability": score.reliability(rows),
-        "confusion": score.confusion(rows), "detection": (detection := score.detection(rows)),
-        "detection_curves": curves_of(detection), "detection_bins": binned(detection),
+        "confusion": score.confusion(rows),
         "failed": sum(row["verdict"] == score.FAILED for row in rows),
         "oracle": trial.oracle, "seed": trial.seed, "commit": commit(),
         "sources": sources,

@@ -8,6 +8,7 @@ numpy views on one table of bytes (figures in docs/dependencies.md).
 import re
 import struct
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 import zstandard
@@ -53,27 +54,24 @@ class Layout:
     template : the message.
     places : want -> (byte offset from the encapsulation on, dtype); absent if not in there.
     positions : byte offsets of everything that fixes the layout.
+    names : of the joints, where the message has names.
     """
 
     template: bytes
     places: dict[Want, tuple[int, np.dtype]] = field(default_factory=dict)
     positions: list[int] = field(default_factory=lambda: [0, 1])
+    names: list[str] = field(default_factory=list)
 
-    @property
-    def fixed(self) -> list[slice]:
-        """The stretches of bytes that a message of this layout has in common with others."""
+    @cached_property
+    def _fixed(self) -> tuple[np.ndarray, np.ndarray]:
+        """Where the bytes stand that messages of this layout have in common, and these."""
         at = np.unique(self.positions)
-        return [slice(int(run[0]), int(run[-1]) + 1)
-                for run in np.split(at, np.flatnonzero(np.diff(at) > 1) + 1)]
+        return at, np.frombuffer(self.template, dtype=np.uint8)[at]
 
     def fits(self, table: np.ndarray) -> np.ndarray:
         """Tell which messages are of this layout; ``table`` (n, length) uint8, returns (n,)."""
-        fits = np.ones(len(table), dtype=np.bool_)
-        for place in self.fixed:
-            kind = np.dtype((np.void, place.stop - place.start))  # compared as a whole
-            fits &= (_column(table, place.start, kind)
-                     == np.frombuffer(self.template[place], dtype=kind)[0])
-        return fits
+        at, common = self._fixed
+        return (table[:, at] == common).all(axis=1)
 
     def numbers(self, table: np.ndarray, want: Want) -> np.ndarray:
         """Return a number of each message, (n,), a view; ``table`` (n, length) uint8."""
@@ -166,7 +164,6 @@ class _Walker:
         self.order = "<" if raw[:2] == LITTLE_ENDIAN else ">"
         self.at = ENCAPSULATION
         self.layout = Layout(raw)
-        self.names: list[str] = []
 
     def align(self, size: int) -> None:
         self.at += -(self.at - ENCAPSULATION) % size
@@ -207,13 +204,13 @@ class _Walker:
         names = (name == "name" and depth == 0
                  and element[0] == Nodetype.BASE and element[1][0] == "string")
         if names:
-            self.names = [self.text(kept=True) for _ in range(count)]
+            self.layout.names = [self.text(kept=True) for _ in range(count)]
             return
         chosen: dict[int, list] = {}
         for steps, want in wants:
             index = steps[0][1]
-            if index is None and want.name in self.names:
-                index = self.names.index(want.name)
+            if index is None and want.name in self.layout.names:
+                index = self.layout.names.index(want.name)
             if index is not None and index < count:
                 chosen.setdefault(index, []).append((steps[1:], want))
         if element[0] == Nodetype.BASE and element[1][0] in SIZES:

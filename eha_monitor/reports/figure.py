@@ -35,7 +35,7 @@ class Curve:
     width : of the line, pixels; 0 for marks alone.
     dash : ``solid``, ``dash`` or ``dot``.
     marker : "", ``circle``, ``square``, ``x``, ``diamond``, ``triangle-up``, ``triangle-down``;
-        ``size`` its diameter, pixels, ``face`` its colour inside, ``edge`` that of its rim.
+        ``size`` its diameter, pixels, ``face`` its colour inside.
     x_error, y_error : half lengths of error bars, (n,), or (2, n) below and above; without line
         and marker they are strokes.
     error_colour, error_width, cap : of the bars; ``cap`` is the length of their ends, pixels.
@@ -51,7 +51,6 @@ class Curve:
     marker: str = ""
     size: float = 6.0
     face: str = ""
-    edge: str = ""
     x_error: np.ndarray | None = None
     y_error: np.ndarray | None = None
     error_colour: str = ""

@@ -129,13 +129,6 @@ def table(head: str, rows: Sequence[Sequence[str | Cell]], kinds: str = "", key:
     return Table(names, made[:shown], key, note, made[shown:])
 
 
-def markdown(one: Table) -> str:
-    """Return a table in Markdown."""
-    lines = [one.head, ("---",) * len(one.head),
-             *(tuple(cell.text for cell in row) for row in (*one.rows, *one.rest))]
-    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
-
-
 @lru_cache(maxsize=1)
 def _environment() -> jinja2.Environment:
     made = jinja2.Environment(

@@ -129,7 +129,7 @@ class _Drawing:
         if one.marker:
             look["marker"] = {"symbol": one.marker, "size": one.size,
                               "color": rgba(one.face or one.colour, one.opacity),
-                              "line": {"color": one.edge or one.colour, "width": 1.0}}
+                              "line": {"color": one.colour, "width": 1.0}}
         for key, error in (("error_x", one.x_error), ("error_y", one.y_error)):
             if error is not None:
                 below, above = np.broadcast_to(error, (2, len(one.x)))

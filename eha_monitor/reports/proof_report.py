@@ -1,85 +1,21 @@
-"""The result of ``prove`` as a page, with every miss and its picture, and as Markdown."""
+"""The result of ``prove`` as a page, with every miss and its picture."""
 
 from pathlib import Path
 
 import numpy as np
 
-from eha_monitor.errors import InputError
 from eha_monitor.mismatch.diagnosis import Curve as MissingTerm
 from eha_monitor.mismatch.diagnosis import Diagnosis, Location, NamedEffect
-from eha_monitor.output import write_text
 from eha_monitor.prove.files import read_json
 from eha_monitor.prove.score import MARKS, UNEXPLAINED, number_of, wilson
 from eha_monitor.prove.trial import misses
-from eha_monitor.quantity import number, quantity, with_uncertainty
+from eha_monitor.quantity import number
 from eha_monitor.reports import figure as fig
 from eha_monitor.reports.diagnosis_figures import curve_figure, informative
-from eha_monitor.reports.page import Cell, Table, markdown, render, table
+from eha_monitor.reports.page import Cell, Table, render, table
 from eha_monitor.words import effect_words
 
-# What was said -> colour, marker, words; drawn in this order.
-_MARKS = {
-    "nothing": (fig.MEASURED, "circle", "nothing"),
-    "unexplained": ("#E69F00", "square", "unexplained"),
-    "wrong": (fig.ERROR_LINE, "x", "another name"),
-    "class": (fig.STAGE_ONE, "diamond", "its declared class"),
-    "exact": (fig.OTHER, "circle", "its name"),
-}
-_ROW, _PARAMETER_ROW = 19, 21  # pixels of a row
-_LEAST = 0.1  # units at which the axis begins
 _RELIABILITY = 470  # pixels of the height of the reliability diagram
-_MOST_ROWS = 40  # in one picture
-_SHOWN = 0.5  # of the truth: farther off is drawn at the edge
-_STRENGTH = "strength, relative to what an oracle just detects"
-
-
-def detection_figure(found: dict) -> fig.Figure | None:
-    """Draw every single effect as a mark: effect against strength, coloured by what was said."""
-    detection = found["detection"]
-    if not detection:
-        return None
-    by_units = any(one["units"] is not None for one in detection)
-    names = sorted({one["effect"] for one in detection}, reverse=True)
-    panel = fig.Panel(fig.Side(_STRENGTH if by_units else "strength; 1 is clear", log=True),
-                      fig.Side(rows=tuple(effect_words(name) for name in names)))
-    if by_units:
-        panel.add(fig.Level(1.0, dash="dot", upright=True))
-        points = [(names.index(name), curve["point_95"])
-                  for name, curve in found["detection_curves"].items() if name in names]
-        if points:
-            row, at = np.array(points, dtype=float).T
-            panel.add(fig.Curve(at, row, "95 % point", width=0.0, error_width=2.0, legend=False,
-                                y_error=np.full(len(at), 0.42)))
-    for said, (colour, marker, words) in _MARKS.items():
-        mine = [one for one in detection if one["said"] == said
-                and (not by_units or one["units"] is not None)]
-        if mine:
-            at = [max(one["units"], _LEAST) if by_units else one["strength"] for one in mine]
-            row = np.array([names.index(one["effect"]) for one in mine])
-            panel.add(fig.Curve(np.array(at), row, words, colour, 0.0, marker=marker, size=7.5,
-                                opacity=0.85, edge="#ffffff"))
-    return fig.Figure((panel,), "result for each single concealed effect, by its strength",
-                      size=(fig.WIDTH, 110 + _ROW * max(len(names), 4)))
-
-
-def detection_curve(found: dict) -> fig.Figure | None:
-    """Draw the share of right names against strength in units of what can just be detected."""
-    curve, bins = found["detection_curves"].get("all"), found["detection_bins"]
-    if curve is None or not bins:
-        return None
-    units = np.geomspace(_LEAST, max(30.0, bins[-1]["units"]), 200)
-    at, value, low, high = (np.array([one[key] for one in bins])
-                            for key in ("units", "share", "low", "high"))
-    panel = fig.Panel(fig.Side(_STRENGTH, log=True), fig.Side("right name or declared class",
-                                                              limits=(-0.04, 1.06)))
-    panel.add(fig.Curve(units, 1.0 / (1.0 + (curve["middle"] / units) ** curve["slope"]),
-                        "fitted curve", fig.STAGE_ONE, 2.0),
-              fig.Curve(at, value, "share, with its 68 % interval", fig.INK, 0.0, marker="circle",
-                        y_error=np.maximum([value - low, high - value], 0.0)),
-              fig.Level(1.0, dash="dot", upright=True),
-              fig.Level(curve["point_95"], f"95 % at {curve['point_95']:.2g}", fig.ERROR_LINE, 1.4,
-                        upright=True))
-    return fig.Figure((panel,), "probability of the right name against strength")
 
 
 def reliability_figure(found: dict) -> fig.Figure | None:
@@ -129,76 +65,13 @@ def missing_term(answer: dict | None) -> fig.Figure | None:
     return curve_figure(said, shown[0]) if shown else None
 
 
-def parameter_figures(rows: list[dict]) -> list[fig.Figure]:
-    """Draw each parameter's found value over its true one, ± one standard deviation."""
-    rows = [row for row in rows if row["true"]]
-    return [_parameters(rows[i:i + _MOST_ROWS][::-1]) for i in range(0, len(rows), _MOST_ROWS)]
-
-
-def _parameters(rows: list[dict]) -> fig.Figure:
-    """Draw some rows, the last on top."""
-    edge = 100.0 * _reach(rows)
-    panel = fig.Panel(fig.Side("found, in % off the truth; bars are ± one standard deviation",
-                               limits=(-1.12 * edge, 1.12 * edge)),
-                      fig.Side(rows=tuple(_label(row) for row in rows)))
-    aims = [row["aim"] for row in rows if row["aim"]]
-    if aims:
-        panel.add(fig.Span(-100.0 * max(aims), 100.0 * max(aims), "", fig.OTHER, 0.12, True))
-    panel.add(fig.Level(0.0, upright=True))
-    for place, row in enumerate(rows):
-        if row["said"] is None:
-            panel.add(fig.Text(0.0, place, "not named", fig.ERROR_LINE))
-            continue
-        off = 100.0 * (row["said"] / row["true"] - 1.0)
-        bar = min(100.0 * row["stddev"] / abs(row["true"]), edge)
-        colour = fig.MEASURED if not row["aim"] else fig.OTHER if row["within"] else fig.ERROR_LINE
-        at = float(np.clip(off, -edge, edge))
-        panel.add(fig.Curve(np.array([at]), np.array([place]), "", colour, 0.0, marker="circle",
-                            size=7.5, x_error=np.array([bar]), error_width=1.6))
-        if abs(off) > edge:
-            panel.add(fig.Text(at, place, f"{off:+.0f} %", colour, "right" if off > 0 else "left",
-                               shift=(-12 if off > 0 else 12, 0)))
-    return fig.Figure((panel,), "parameters found against true ones",
-                      size=(fig.WIDTH, 100 + _PARAMETER_ROW * max(len(rows), 4)))
-
-
-def _reach(rows: list[dict]) -> float:
-    """Return how far the axis reaches, relative: what most need, at least twice the aim."""
-    errors = [row["relative"] for row in rows if row["relative"] is not None]
-    aim = max((row["aim"] for row in rows), default=0.0)
-    return float(np.clip(max(errors, default=0.0), max(1.5 * aim, 0.02), _SHOWN))
-
-
-def _label(row: dict) -> str:
-    """Return a row's name: group, then the parameter in words."""
-    effect, dot, symbol = row["name"].partition(".")
-    name = f"{symbol} of {effect_words(effect)}" if dot else row["name"]
-    return f"{row['group']}: {name}"
-
-
 # ---- the page -----------------------------------------------------------------------------------
 
-GROUNDS = {
-    "mcmaster": ("The second published EHA", "The independent plant with the published numbers, "
-                 "in three states; the nominal config has viscous friction alone and the leakage "
-                 "of the paper's EHA."),
-    "simulator": ("Recordings of an independent fluid-power simulator", "Read through the import "
-                  "path, with sensor noise and resolution added; the key is the simulator's own "
-                  "file, opened last."),
-    "strangers": ("Rigs of strangers, several recordings each", "Other equations, drawn from a "
-                  "seed: friction of other laws, B that drifts with the oil, loads that differ "
-                  "between recordings, play, leaks; the config is what init drafts from data "
-                  "sheets. Each recording is diagnosed alone, and all of a rig together."),
-    "triangle": ("Concealed inside a parameter: the paper's triangle", "Coulomb friction reads "
-                 "as viscous friction there. The advice comes first, the second motion is "
-                 "recorded as advised, and both recordings are diagnosed together."),
-}
 GROUPS = {"by_kind": "effects in a recording", "by_rig": "numbers of the config",
           "by_strength": "strength (single effects)",
           "by_motion": "motion", "by_noise": "noise, times the sensors' own",
           "by_channels": "channels"}
 MOST_PICTURES = 80  # of misses; each is some 30 kB
-BEGIN, END = "<!-- result -->", "<!-- end of result -->"
 _NUMBERS = " | number | number | number | number | number"
 
 
@@ -207,28 +80,9 @@ def proof_page(found: dict, work: Path | None = None) -> str:
     return render(
         "proof.html.j2", title="EHA diagnosis: the concealed-effect trial", facts=_facts(found),
         marks=marks(found), groups=groups(found),
-        pictures=[one for one in (detection_figure(found), detection_curve(found)) if one],
-        units=bool(found["detection_curves"]), reliability=reliability_figure(found),
+        reliability=reliability_figure(found),
         effects=effects(found), confusion=confusion(found), misses=_miss_cards(found, work),
-        cases=found["cases"], ground=GROUNDS.get(found.get("ground")),
-        ground_facts=found.get("facts", ()),
-        ground_pictures=parameter_figures(found["parameters"]) if "ground" in found else [],
-        parameters=parameters(found) if "ground" in found else None)
-
-
-def parameters(found: dict) -> Table:
-    """Return the parameters of a ground: true and found."""
-    rows = []
-    for row in found["parameters"]:
-        unit = row.get("unit", "")
-        said = "not named" if row["said"] is None else (
-            with_uncertainty(row["said"], row["stddev"], unit))
-        kind = "" if not row["aim"] else " good" if row["within"] else " poor"
-        rows.append((row["group"], row["name"], quantity(row["true"], unit),
-                     Cell(said, f"value{kind}"), percent(row["relative"]),
-                     percent(row["aim"]) if row["aim"] else ""))
-    return table("recording | parameter | true | found | off by | aim", rows,
-                 " | key | number | value | number | number", "found")
+        cases=found["cases"])
 
 
 def percent(value: float | None) -> str:
@@ -271,13 +125,11 @@ def groups(found: dict) -> list[Table]:
 
 def effects(found: dict) -> Table:
     """Return the shares by effect."""
-    curves = found["detection_curves"]
     rows = [(name, one["n"], percent(one["exact"]), percent(one["within_class"]),
-             one["detectable"], percent(one["found"]),
-             f"{curves[name]['point_95']:.2g}" if name in curves else "—")
+             one["detectable"], percent(one["found"]))
             for name, one in found["by_effect"].items()]
-    return table("effect | cases | exact | within class | detectable | found of these | "
-                 "95 % point, units", rows, f"key{_NUMBERS} | number", "effects")
+    return table("effect | cases | exact | within class | detectable | found of these", rows,
+                 f"key{_NUMBERS}", "effects")
 
 
 def confusion(found: dict) -> Table:
@@ -349,57 +201,3 @@ def said_words(row: dict) -> str:
         f" (or {', '.join(map(effect_words, rivals))})" if rivals else "")
         for name, rivals in classes.items())
     return named if row["verdict"] == "mismatch" else f"{row['verdict']}, with {named}"
-
-
-# ---- as Markdown, for docs/proof.md ---------------------------------------------------------
-
-def write_result(path: Path, found: dict) -> None:
-    """Put a result between the two marks of a Markdown file; the rest stays as it is.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be read or has no such marks.
-    """
-    try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as problem:
-        raise InputError(f"{path}: cannot read: {problem}") from problem
-    opening, closing = marks_of(found.get("ground"))
-    before, begin, rest = text.partition(opening)
-    _, end, after = rest.partition(closing)
-    if not begin or not end:
-        raise InputError(f"{path}: expected the lines {opening} and {closing}, to put the result "
-                         "between them")
-    write_text(path, f"{before}{opening}\n{result_text(found)}\n{closing}{after}")
-
-
-def marks_of(ground: str | None) -> tuple[str, str]:
-    """Return the lines between which a result stands, those of a ground if it is one."""
-    if ground is None:
-        return BEGIN, END
-    return BEGIN.replace("result", f"{ground} result"), END.replace("result", f"{ground} result")
-
-
-def result_text(found: dict) -> str:
-    """Return a result as Markdown: facts, marks, groups, effects, confusion, misses."""
-    parts = ["\n".join(f"- {label}: {text}" for label, text in _facts(found))]
-    if "ground" in found:
-        answers = table("recording | concealed | said | balance", [
-            (row["case"], ", ".join(row["truth"]) or "clean", said_words(row),
-             row["located"] or "-") for row in found["rows"]])
-        return "\n\n".join([*parts, "\n".join(f"- {fact}" for fact in found["facts"]),
-                            markdown(parameters(found)), markdown(answers)])
-    tables = [marks(found)]
-    if found.get("reliability"):
-        tables.append(table("probability said | statements | mean said | right", [
-            (f"{one['low']:.1f} to {one['high']:.1f}", one["n"], percent(one["said"]),
-             percent(one["right"])) for one in found["reliability"]]))
-    parts += map(markdown, (*tables, *groups(found), effects(found), confusion(found)))
-    missed = misses(found)
-    parts.append(f"Misses: {len(missed)} of {found['cases']}.")
-    parts.append("\n".join(
-        f"- {row['case']} ({row['motion']}, noise × {row['noise']:g}): "
-        f"{'; '.join(truths_of(row)) or 'clean'}. "
-        f"Said: {said_words(row)}, {row['located'] or 'no'} balance." for row in missed))
-    return "\n\n".join(part for part in parts if part)

@@ -97,7 +97,7 @@ def _curve(axis: Axes, one: fig.Curve) -> None:
     look = {"color": one.colour, "linewidth": one.width, "marker": _MARKERS[one.marker],
             "linestyle": _DASHES[one.dash] if one.width else "", "alpha": one.opacity,
             "markersize": one.size * _POINT, "markerfacecolor": one.face or one.colour,
-            "markeredgecolor": one.edge or one.colour, "solid_joinstyle": "round",
+            "markeredgecolor": one.colour, "solid_joinstyle": "round",
             "label": one.label if one.legend else None}
     if one.x_error is None and one.y_error is None:
         axis.plot(one.x, one.y, **look)

@@ -2,105 +2,106 @@
 
 Most messages of a topic differ in nothing but stamp and numbers.  Where those stand is found once
 (:mod:`eha_monitor.recordings.cdr`); messages of the same lengths and names are then read all at
-once, as the columns of a table of bytes.  Any other is decoded as a whole.
+once, as the columns of a table of bytes.
 
 All arrays of a JointState have the same length or none, so joints of which different quantities
 are measured, or which different drivers publish, come in messages of their own on one topic.  A
 message then lacks an entry because another message brings it, which is no fault of the data.
 """
 
-import math
-from collections.abc import Callable, Sequence
-from typing import Any
+import re
+from collections.abc import Sequence
+from functools import cache
 
 import numpy as np
-from rclpy.serialization import deserialize_message
-from rosbags.typesys import Stores, get_typestore
+from rosbags.interfaces import Nodetype
 
+from eha_monitor.errors import InputError
 from eha_monitor.live.rows import Batch
-from eha_monitor.recordings.cdr import LITTLE_ENDIAN, STAMP, Want, locate
-from eha_monitor.ros.topics import STEP, Entry, Topic, message_class
+from eha_monitor.recordings.cdr import SIZES, STAMP, Layout, Want, has_names, has_stamp, locate
+from eha_monitor.ros.topics import Entry, Topic, message_class
 
-# Known once for all: to read the definitions takes 15 ms, and messages wait meanwhile.
-TYPES = get_typestore(Stores.ROS2_JAZZY).fielddefs
-LAYOUTS = 8  # of messages on one topic; more are those of a publisher that changes them
+LAYOUTS = 8  # of messages on one topic that are kept; more are those of a publisher that changes
+# A type of a field as rclpy has it: element, then [n] of an array; or sequence<element, most>.
+_FIELD = re.compile(r"(sequence<)?([\w/]+)(?:<\d+>)?(?:, \d+>|>)?(?:\[(\d+)\])?")
+_NAMES = {"boolean": "bool", "float": "float32", "double": "float64"}
 
 
-class Layout:
-    """Messages that differ in nothing but stamp and numbers, and where those stand.
-
-    Parameters
-    ----------
-    entries : the streams to read.
-    type_name, stamped : type of the messages, and whether they carry a header.
-    data : one of the messages.
-    names : of the joints in them.
+@cache
+def types_of_class(type_name: str) -> dict:
+    """Return type name -> (constants, fields) as rosbags has them, of a type and all inside it.
 
     Raises
     ------
-    ValueError, struct.error, KeyError, RecursionError
-        If ``data`` is no little-endian message of a known type.
+    InputError
+        If a package is not installed, or a field is of a kind that is not read.
+    """
+    fields, found = [], {}
+    for name, kind in message_class(type_name).get_fields_and_field_types().items():
+        sequence, element, count = _FIELD.fullmatch(kind).groups()
+        if "/" in element:
+            inner = element.replace("/", "/msg/", 1)
+            found |= types_of_class(inner)
+            node = (Nodetype.NAME, inner)
+        else:
+            base = _NAMES.get(element, element)
+            if base not in SIZES and base != "string":
+                raise InputError(f"{type_name}: cannot read its field {name}, a {kind}")
+            node = (Nodetype.BASE, (base, 0))
+        if sequence:
+            node = (Nodetype.SEQUENCE, (node, 0))
+        elif count:
+            node = (Nodetype.ARRAY, (node, int(count)))
+        fields.append((name, node))
+    return {**found, type_name: ([], fields)}
+
+
+class Stream:
+    """What is read of one entry of a topic.
+
+    Attributes
+    ----------
+    problem : why the last message gave nothing, as a sentence, or None.
+    absent : what came in place of an entry that has messages of its own, as a sentence, or None.
     """
 
-    def __init__(self, entries: Sequence[Entry], type_name: str, stamped: bool, data: bytes,
-                 names: frozenset[str] = frozenset()):
-        self.entries, self.names = tuple(entries), names
-        self.sources = frozenset(entry.source.name for entry in entries)
-        wants = [[Want(channel.field, entry.name) for _, channel in entry.channels]
-                 for entry in entries]
-        if data[:2] != LITTLE_ENDIAN:
-            raise ValueError("expected a little-endian message")
-        stamp = STAMP if stamped else ()
-        found = locate(data, TYPES, type_name,
-                       (*(want for stream in wants for want in stream), *stamp))
-        self._length = len(data)
-        self._pattern = np.frombuffer(bytes(data), dtype=np.uint8)
-        self._fixed = np.zeros(len(data), dtype=np.uint8)  # all bits of a byte that stays
-        for place in found.fixed:
-            self._fixed[place] = 0xFF
-        # An entry that is there may lack a number, as a list may be empty: that is a NaN.
-        self._complete = all(any(want in found.places for want in stream) for stream in wants)
-        self._columns = [[(*found.places.get(want, (0, None)), channel.gain, channel.zero)
-                          for want, (_, channel) in zip(stream, entry.channels, strict=True)]
-                         for stream, entry in zip(wants, entries, strict=True)]
-        self._stamp_at = found.places[stamp[0]][0] if stamp else None
+    def __init__(self, entry: Entry):
+        self.entry = entry
+        self.problem: str | None = None
+        self.absent: str | None = None
 
-    def fits(self, data: bytes) -> bool:
-        """Return whether a message is of this layout."""
-        return self.fit([data], data)
+    def wants(self, named: bool) -> list[Want]:
+        """Return where its numbers stand; without a name the first of a list counts."""
+        if named and self.entry.name:
+            return [Want(channel.field, self.entry.name) for _, channel in self.entry.channels]
+        return [Want(channel.field if channel.field.endswith("]") else f"{channel.field}[0]")
+                for _, channel in self.entry.channels]
 
-    def fit(self, messages: Sequence[bytes], raw: bytes) -> bool:
-        """Return whether all messages are of this layout; ``raw`` is all of them."""
-        if set(map(len, messages)) != {self._length}:
-            return False
-        table = np.frombuffer(raw, dtype=np.uint8).reshape(-1, self._length)
-        return not ((table ^ self._pattern) & self._fixed).any()
+    def lacks(self, names: Sequence[str]) -> str:
+        """Return in a sentence that messages with these names have not the entry."""
+        return (f"{self.entry.source.name}: no entry named {self.entry.name!r}, the message has "
+                f"{', '.join(names) or 'none'}")
 
-    def read(self, raw: bytes) -> tuple[np.ndarray, list[np.ndarray]] | None:
-        """Return (n,) stamps in ns, zeros without, and the (n, k) values of each entry, SI.
+    def note(self, found: np.ndarray, number: np.ndarray, groups: list, apart: bool) -> None:
+        """Note how messages were read.
 
-        None where an entry has no number in one of the messages, of which ``raw`` is all.
+        Parameters
+        ----------
+        found, number : (n,) whether each has the entry, and a number of it.
+        groups : layouts of the messages, each with which of them are of it.
+        apart : whether what one lacks is brought by others.
         """
-        n = len(raw) // self._length
-        stamps = np.zeros(n, dtype=np.int64)
-        if self._stamp_at is not None:
-            for dtype, at, unit in (("<i4", 0, 1_000_000_000), ("<u4", 4, 1)):
-                stamps += self._column(raw, n, self._stamp_at + at, dtype) * np.int64(unit)
-        streams = []
-        for places in self._columns if self._complete else ():
-            values = np.full((n, len(places)), np.nan)
-            for k, (at, dtype, gain, zero) in enumerate(places):
-                if dtype is not None:
-                    values[:, k] = self._column(raw, n, at, dtype)  # double from here on
-                    values[:, k] = gain * values[:, k] + zero
-            streams.append(values)
-        whole = self._complete and all(np.isfinite(values).any(axis=1).all()
-                                       for values in streams)
-        return (stamps, streams) if whole else None
-
-    def _column(self, raw: bytes, n: int, at: int, dtype) -> np.ndarray:
-        """Return the numbers that stand at ``at`` in each of ``n`` messages."""
-        return np.ndarray((n,), dtype, raw, at, (self._length,))
+        last, end = np.flatnonzero(found)[-1:], len(found) - 1
+        others = {name for layout, rows, _ in groups if not len(last) or rows[-1] > last[0]
+                  for name in layout.names}
+        self.absent = self.lacks(sorted(others)) if apart and others else None
+        self.problem = None
+        if found[end] and not number[end]:
+            fields = ", ".join(channel.field for _, channel in self.entry.channels)
+            self.problem = f"{self.entry.source.name} holds no number in {fields}"
+        elif not found[end] and not apart:
+            self.problem = self.lacks(next(layout.names for layout, rows, _ in groups
+                                           if rows[-1] == end))
 
 
 class TopicReader:
@@ -110,7 +111,7 @@ class TopicReader:
     ----------
     topic : topic and its streams.
     type_name : type of its messages.
-    decoders : one for each stream; they keep what is wrong with it.
+    streams : one for each entry; they keep what is wrong with it.
 
     Attributes
     ----------
@@ -123,19 +124,15 @@ class TopicReader:
         If the type is not installed.
     """
 
-    def __init__(self, topic: Topic, type_name: str, decoders: Sequence["Decoder"]):
+    def __init__(self, topic: Topic, type_name: str, streams: Sequence[Stream]):
         self.kind = message_class(type_name)
-        fields = self.kind.get_fields_and_field_types()
-        self._stamped, self._named = fields.get("header") == "std_msgs/Header", "name" in fields
-        self._topic, self._type = topic, type_name
+        self._types, self._type = types_of_class(type_name), type_name
+        self._stamped = has_stamp(self._types, type_name)
+        self._named = has_names(self._types, type_name)
+        self._streams = streams
+        self._wants = [stream.wants(self._named) for stream in streams]
         self._layouts: list[Layout] = []
-        self._decoders = decoders
         self.zero_stamps = 0
-
-    @property
-    def apart(self) -> bool:
-        """Whether joints have come in messages of their own."""
-        return len({layout.names for layout in self._layouts}) > 1
 
     def read(self, messages: Sequence[bytes], came: np.ndarray, now_ns: np.ndarray
              ) -> list[Batch]:
@@ -145,227 +142,105 @@ class TopicReader:
         ----------
         came, now_ns : (n,) when each was received: s, monotonic, and ns on the node's clock.
         """
-        found = self._read_columns(messages, now_ns)
-        if found is None:
-            return self._read_singly(messages, came, now_ns)
-        return [Batch(entry.source, stamps - entry.delay_ns, values, came[places])
-                for entry, (places, stamps, values) in zip(self._topic.entries, found,
-                                                           strict=True)]
+        groups = self._by_layout(messages)
+        stamps = np.array(now_ns, dtype=np.int64)
+        if self._stamped:
+            for layout, rows, table in groups:
+                seconds, rest = (layout.numbers(table, want) for want in STAMP)
+                stamps[rows] = seconds.astype(np.int64) * 1_000_000_000 + rest
+        kept = self._dated(stamps, now_ns)
+        read = [self._values(stream, wants, groups, len(messages))
+                for stream, wants in zip(self._streams, self._wants, strict=True)]
+        apart = not all(found.all() for found, _ in read) and self._come_apart(
+            [layout for layout, _, _ in groups])
+        batches = []
+        for stream, (found, values) in zip(self._streams, read, strict=True):
+            number = found & np.isfinite(values).any(axis=1)
+            if not number.all():
+                stream.note(found, number, groups, apart)
+            else:
+                stream.problem = stream.absent = None
+            rows = kept & found if apart else kept
+            lacking = None if number[rows].all() else tuple(
+                None if good else bool(there)
+                for good, there in zip(number[rows], found[rows], strict=True))
+            batches.append(Batch(stream.entry.source, stamps[rows] - stream.entry.delay_ns,
+                                 values[rows], came[rows], lacking))
+        return batches
 
-    def _read_columns(self, messages: Sequence[bytes], now_ns: np.ndarray
-                      ) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]] | None:
-        """Return places among the messages, stamps and values of each entry of the topic.
-
-        None unless each message has a stamp, where its type has one, and a number of each entry
-        that it or another message with one of its joints has had.
-        """
-        places = self._by_layout(messages)
-        if not places or not self._all_come():
-            self._layouts = []
-            return None
-        brought: dict[str, list[tuple]] = {}
-        for number, (chosen, raw) in places.items():
-            layout = self._layouts[number]
-            if not layout.entries:
-                continue
-            read = layout.read(raw)
-            if read is None or (self._stamped and not read[0].all()):
-                return None
-            stamps = read[0] if self._stamped else now_ns[chosen]
-            for entry, values in zip(layout.entries, read[1], strict=True):
-                brought.setdefault(entry.source.name, []).append((chosen, stamps, values))
-        found = []
-        for entry, decoder in zip(self._topic.entries, self._decoders, strict=True):
-            one = _joined(brought.get(entry.source.name, []), len(entry.channels))
-            last = one[0][-1] if len(one[0]) else -1
-            decoder.note({name for number, (chosen, _) in places.items() if chosen[-1] > last
-                          for name in self._layouts[number].names})
-            found.append(one)
-        return found
-
-    def _by_layout(self, messages: Sequence[bytes]) -> dict[int, tuple[np.ndarray, bytes]]:
-        """Return by number of a layout which messages are of it, and these as one.
-
-        Nothing if a message is of none.
-        """
-        raw = b"".join(messages)
-        if self._layouts and self._layouts[0].fit(messages, raw):
-            return {0: (np.arange(len(messages)), raw)}
-        places: dict[int, list[int]] = {}
+    def _by_layout(self, messages: Sequence[bytes]) -> list[tuple[Layout, np.ndarray, np.ndarray]]:
+        """Return each layout, which messages are of it, and these as a table of bytes."""
+        if self._layouts and set(map(len, messages)) == {len(self._layouts[0].template)}:
+            table = table_of(messages)
+            if self._layouts[0].fits(table).all():
+                return [(self._layouts[0], np.arange(len(messages)), table)]
+        places: dict[int, tuple[Layout, list[int]]] = {}
         for k, data in enumerate(messages):
-            number = self._layout_of(data)
-            if number is None:
-                return {}
-            places.setdefault(number, []).append(k)
-        return {number: (np.array(chosen), b"".join([messages[k] for k in chosen]))
-                for number, chosen in places.items()}
+            layout = self._layout_of(data)
+            places.setdefault(id(layout), (layout, []))[1].append(k)
+        return [(layout, np.array(rows), table_of([messages[k] for k in rows]))
+                for layout, rows in places.values()]
 
-    def _layout_of(self, data: bytes) -> int | None:
-        """Return the number of the layout of a message, None where none can be found."""
-        for number, layout in enumerate(self._layouts):
-            if layout.fits(data):
-                return number
-        if len(self._layouts) == LAYOUTS:
-            return None
-        try:
-            names = frozenset(deserialize_message(data, self.kind).name if self._named else ())
-            entries = [entry for entry in self._topic.entries
-                       if not (self._named and entry.name) or entry.name in names]
-            self._layouts.append(Layout(entries, self._type, self._stamped, data, names))
-        except Exception:  # noqa: BLE001  rclpy has no class for what is no message
-            return None
-        return len(self._layouts) - 1
+    def _layout_of(self, data: bytes) -> Layout:
+        """Return the layout of a message."""
+        for layout in self._layouts:
+            if len(layout.template) == len(data) and layout.fits(table_of([data]))[0]:
+                return layout
+        every = (want for wants in self._wants for want in wants)
+        layout = locate(data, self._types, self._type,
+                        (*every, *(STAMP if self._stamped else ())))
+        if len(self._layouts) < LAYOUTS:
+            self._layouts.append(layout)
+        return layout
 
-    def _all_come(self) -> bool:
-        """Return whether every entry has come, and no message lacks one beside its own joints."""
-        for entry in self._topic.entries:
-            with_it = [layout.names for layout in self._layouts
-                       if entry.source.name in layout.sources]
-            without = [layout.names for layout in self._layouts
-                       if entry.source.name not in layout.sources]
-            if not with_it or any(one & other for one in with_it for other in without):
+    def _dated(self, stamps: np.ndarray, now_ns: np.ndarray) -> np.ndarray:
+        """Give messages without a stamp the time of receipt; return which messages count."""
+        kept = np.ones(len(stamps), dtype=np.bool_)
+        zero = np.flatnonzero(stamps == 0)
+        if len(zero):
+            # One zero may be the start of simulated time, two are no stamps at all.
+            kept[zero[0]] = self.zero_stamps > 0
+            self.zero_stamps += len(zero)
+            stamps[zero] = now_ns[zero]
+        return kept
+
+    def _values(self, stream: Stream, wants: Sequence[Want], groups: list, n: int
+                ) -> tuple[np.ndarray, np.ndarray]:
+        """Return which messages have the entry of a stream, and its numbers, (n, k) SI, NaN."""
+        found, values = np.zeros(n, dtype=np.bool_), np.full((n, len(wants)), np.nan)
+        for layout, rows, table in groups:
+            rows = rows if len(groups) > 1 else slice(None)  # all of them: quicker
+            found[rows] = self._has(layout, stream.entry)
+            for i, (want, (_, channel)) in enumerate(zip(wants, stream.entry.channels,
+                                                         strict=True)):
+                if want in layout.places:
+                    values[rows, i] = layout.numbers(table, want)  # double from here on
+                    values[rows, i] = channel.gain * values[rows, i] + channel.zero
+        return found, values
+
+    def _has(self, layout: Layout, entry: Entry) -> bool:
+        return not (self._named and entry.name) or entry.name in layout.names
+
+    def _come_apart(self, now: list[Layout]) -> bool:
+        """Tell whether what a message lacks is brought by others: joints of other messages.
+
+        Not where an entry has never come, or came beside joints that now come without it.
+
+        Parameters
+        ----------
+        now : layouts of the messages that are read.
+        """
+        for stream in self._streams:
+            names = {True: [], False: []}
+            for layout in self._layouts:
+                names[self._has(layout, stream.entry)].append(set(layout.names))
+            if not names[True] or any(one & other for one in names[True]
+                                      for other in names[False]):
+                self._layouts = now[:LAYOUTS]  # of before nothing can be told
                 return False
         return True
 
-    def _read_singly(self, messages: Sequence[bytes], came: np.ndarray, now_ns: np.ndarray
-                     ) -> list[Batch]:
-        """Decode each message as a whole: some lack an entry, a number or a stamp."""
-        times, taken = [], []
-        streams: list[list[tuple[int, tuple[float, ...] | None, bool | None]]] = [
-            [] for _ in self._decoders]
-        apart = self.apart
-        for k, data in enumerate(messages):
-            message = deserialize_message(data, self.kind)
-            time_ns = 0
-            if self._stamped:
-                time_ns = message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec
-                # One zero may be the start of simulated time, two are no stamps at all.
-                self.zero_stamps += time_ns == 0
-                if time_ns == 0 and self.zero_stamps == 1:
-                    continue
-            for stream, decoder in zip(streams, self._decoders, strict=True):
-                values = decoder(message)
-                if apart and not decoder.found:  # another message brings it
-                    decoder.problem = None
-                    continue
-                stream.append((len(times), values, None if values is not None else decoder.found))
-            times.append(time_ns or int(now_ns[k]))
-            taken.append(k)
-        stamps, came = np.array(times, dtype=np.int64), came[taken]
-        return [_batch(entry, stream, stamps, came)
-                for entry, stream in zip(self._topic.entries, streams, strict=True)]
 
-
-def _joined(found: list[tuple], channels: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Join what messages of several layouts brought of an entry, in the order of the messages."""
-    if not found:
-        return np.empty(0, int), np.empty(0, np.int64), np.empty((0, channels))
-    if len(found) == 1:
-        return found[0]
-    places, stamps, values = (np.concatenate(column) for column in zip(*found, strict=True))
-    order = np.argsort(places)
-    return places[order], stamps[order], values[order]
-
-
-def _batch(entry: Entry, stream: list[tuple], stamps: np.ndarray, came: np.ndarray) -> Batch:
-    """Return what messages brought of an entry: place, values or None, whether a number lacks."""
-    places, values_of, lacking = zip(*stream, strict=True) if stream else ((), (), ())
-    nothing = (np.nan,) * len(entry.channels)
-    chosen = np.array(places, dtype=int)
-    return Batch(entry.source, stamps[chosen] - entry.delay_ns, np.array(
-        [nothing if values is None else values for values in values_of],
-        dtype=float).reshape(-1, len(nothing)), came[chosen],
-        None if all(lacks is None for lacks in lacking) else lacking)
-
-
-class Decoder:
-    """Reads the channels of one entry out of a message.
-
-    The place of the entry among the message's names is kept until the names change, so that
-    JointStates may order their joints as they like.
-
-    Attributes
-    ----------
-    problem : why the last message gave nothing, as a sentence, or None.
-    absent : what came in place of an entry that has messages of its own, as a sentence, or None.
-    """
-
-    def __init__(self, entry: Entry):
-        self.problem: str | None = None
-        self.absent: str | None = None
-        self._entry = entry
-        self._names: list[str] | None = None
-        self._index = 0
-        self._fields = [(_reader(channel.field), channel.gain, channel.zero)
-                        for _, channel in entry.channels]
-
-    def __call__(self, message: Any) -> tuple[float, ...] | None:
-        """Return one SI value for each channel (NaN where there is none), or None for none."""
-        names = getattr(message, "name", None)
-        if names is not None and names != self._names:
-            self._find(names)
-        if self._index < 0:
-            self.problem = self.lacks(self._names)
-            return None
-        values = tuple([scale * read(message, self._index) + offset
-                        for read, scale, offset in self._fields])
-        for value in values:
-            if math.isfinite(value):
-                self.problem = None
-                return values
-        fields = ", ".join(channel.field for _, channel in self._entry.channels)
-        self.problem = f"{self._entry.source.name} holds no number in {fields}"
-        return None
-
-    @property
-    def found(self) -> bool:
-        """Whether the last message had the entry."""
-        return self._index >= 0
-
-    def note(self, others: set[str]) -> None:
-        """Note that messages were read as columns, and the joints in those after its own."""
-        self.problem = None
-        self.absent = self.lacks(sorted(others)) if others else None
-
-    def lacks(self, names: Sequence[str]) -> str:
-        """Return in a sentence that a message with these names has not the entry."""
-        return (f"{self._entry.source.name}: no entry named {self._entry.name!r}, the message has "
-                f"{', '.join(names) or 'none'}")
-
-    def _find(self, names: list[str]) -> None:
-        self._names = list(names)
-        wanted = self._entry.name
-        if not wanted:
-            self._index = 0
-        elif wanted in self._names:
-            self._index = self._names.index(wanted)
-        else:
-            self._index = -1
-
-
-def _reader(path: str) -> Callable[[Any, int], float]:
-    """Return a function (message, index of the entry) -> number, NaN where there is none."""
-    steps = [STEP.fullmatch(part).groups() for part in path.split(".")]
-    if len(steps) == 1 and steps[0][1] is None:  # the hot path: position, fluid_pressure, data
-        name = steps[0][0]
-
-        def simple(message, index):
-            value = getattr(message, name, math.nan)
-            if isinstance(value, float | int):
-                return value
-            try:
-                return float(value[index])
-            except (IndexError, TypeError, ValueError):
-                return math.nan
-        return simple
-
-    def deep(message, index):
-        try:
-            for name, place in steps:
-                message = getattr(message, name)
-                if place is not None:
-                    message = message[int(place)]
-            return float(message if isinstance(message, float | int) else message[index])
-        except (AttributeError, IndexError, TypeError, ValueError):
-            return math.nan
-    return deep
+def table_of(messages: Sequence[bytes]) -> np.ndarray:
+    """Return messages of one length as a table of bytes, (n, length) uint8."""
+    return np.frombuffer(b"".join(messages), dtype=np.uint8).reshape(len(messages), -1)

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
 
+import numpy as np
 from lifecycle_msgs.srv import ChangeState
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 
@@ -166,13 +167,14 @@ def warm_up() -> None:
     Otherwise the first hand-over stops the node for a second while messages come.
     """
     from eha_monitor.live.estimator import LiveEstimator
+    from eha_monitor.live.ingest import BATCH
     from eha_monitor.physics.simulator import Simulator
 
     settings = Settings()
     estimator, simulator = LiveEstimator(settings), Simulator(settings)
-    shown = simulator.advance(WARM_UP_ROWS)
-    for k, values in enumerate(zip(*(shown[name].tolist() for name in shown), strict=True)):
-        estimator.push(k * simulator.dt, dict(zip(shown, values, strict=True)))
+    for start in range(0, WARM_UP_ROWS, BATCH):
+        shown = simulator.advance(BATCH)
+        estimator.push_rows(simulator.dt * np.arange(start, start + BATCH), shown)
     estimator.snapshot()
     estimator.rehearse()
 

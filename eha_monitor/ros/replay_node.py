@@ -63,7 +63,7 @@ class Replay:
         node.create_service(SetBool, "~/pause", self._on_pause)
         self._wait_for_subscribers()
 
-    def play(self, keys: "Keyboard", progress: "Bar") -> None:
+    def play(self, keys: "Keyboard", progress: Progress) -> None:
         """Publish the bag once; returns early when ROS shuts down."""
         base_ns = base = None
         for topic, _, log_ns, raw in iter_raw(self.bag):
@@ -85,7 +85,7 @@ class Replay:
                 if due - now <= SLACK:
                     break
                 self._tick(now, base_ns + round((now - base) * self.rate * 1e9))
-                progress.show((log_ns - base_ns) * 1e-9)
+                progress.update(0, completed=(log_ns - base_ns) * 1e-9)
                 self._executor.spin_once(timeout_sec=min(due - now, CLOCK_PERIOD))
                 self._poll(keys)
                 if not running.ok():
@@ -194,39 +194,19 @@ class Keyboard:
             self._descriptor = None
 
 
-class Bar:
-    """Progress bar on a terminal, nothing elsewhere; a context manager.
+def bar_of(bag: Path) -> Progress:
+    """Return a progress bar as long as a bag, s, with one task: on a terminal, else unseen."""
+    from rich.console import Console
 
-    Parameters
-    ----------
-    bag : bag whose duration is the whole.
-    """
-
-    def __init__(self, bag: Path):
-        self._bar: Progress | None = None
-        if sys.stderr.isatty():
-            from rich.console import Console
-
-            times = [block.times for _, block in Bag(bag).blocks() if len(block.times)]
-            total = (max(t.max() for t in times) - min(t.min() for t in times)) * 1e-9
-            self._bar = Progress(
-                TextColumn("{task.completed:.1f} s of {task.total:.1f} s"), BarColumn(),
-                TimeElapsedColumn(), TextColumn("space: pause"), console=Console(stderr=True))
-            self._task = self._bar.add_task("replay", total=total)
-
-    def show(self, seconds: float) -> None:
-        """Move the bar to ``seconds`` of the bag."""
-        if self._bar is not None:
-            self._bar.update(self._task, completed=seconds)
-
-    def __enter__(self) -> "Bar":
-        if self._bar is not None:
-            self._bar.start()
-        return self
-
-    def __exit__(self, *problem) -> None:
-        if self._bar is not None:
-            self._bar.stop()
+    seen = sys.stderr.isatty()
+    times = [block.times for _, block in Bag(bag).blocks() if seen and len(block.times)]
+    total = (max(t.max() for t in times) - min(t.min() for t in times)) * 1e-9 if times else None
+    bar = Progress(
+        TextColumn("{task.completed:.1f} s of {task.total:.1f} s"), BarColumn(),
+        TimeElapsedColumn(), TextColumn("space: pause"), console=Console(stderr=True),
+        disable=not seen)
+    bar.add_task("replay", total=total)
+    return bar
 
 
 def run_replay(bag: Path, ros_args: list[str], rate: float = 1.0, clock: bool = True,
@@ -243,7 +223,7 @@ def run_replay(bag: Path, ros_args: list[str], rate: float = 1.0, clock: bool = 
         start = time.monotonic()
         try:
             with (running.until_shutdown(), Keyboard().listen() as keys,
-                  Bar(Path(bag)) as bar):
+                  bar_of(Path(bag)) as bar):
                 replay.play(keys, bar)
                 while loop and running.ok():
                     replay.play(keys, bar)

@@ -16,7 +16,7 @@ from rclpy.type_support import check_is_valid_msg_type
 from eha_monitor.errors import InputError
 from eha_monitor.health.overload import LoadWatch, Overload
 from eha_monitor.live.rows import Batch, RowAligner
-from eha_monitor.ros.decoding import Decoder, TopicReader
+from eha_monitor.ros.decoding import Stream, TopicReader
 from eha_monitor.ros.keeper import Keeper
 from eha_monitor.ros.topics import INPUT_QOS, Topic, clashes
 
@@ -31,7 +31,7 @@ OPTIONAL = frozenset({"temperature", "v", "omega", "force"})
 
 
 class TopicInput:
-    """One topic: its subscription, its decoders, what is wrong with it.
+    """One topic: its subscription, its streams, what is wrong with it.
 
     Parameters
     ----------
@@ -58,7 +58,7 @@ class TopicInput:
         self.waits = False
         self.reader: TopicReader | None = None
         self._node, self._qos = node, qos
-        self._decoders = [Decoder(entry) for entry in topic.entries]
+        self._streams = [Stream(entry) for entry in topic.entries]
         self._subscription = None
         self._type_problem: str | None = None
         self._counted = (0, time.monotonic())
@@ -76,7 +76,7 @@ class TopicInput:
         if wanted is None or wanted == self.type:
             return
         try:
-            reader = TopicReader(self.topic, wanted, self._decoders)
+            reader = TopicReader(self.topic, wanted, self._streams)
         except InputError as problem:
             self._type_problem = f"{self.topic.full_name}: {problem}"
             return
@@ -133,11 +133,11 @@ class TopicInput:
     def problems(self, now: float, silent_after: float) -> list[str]:
         """Return what is wrong with the topic at ``now`` (s, monotonic), in sentences."""
         found = [self._type_problem] if self._type_problem else []
-        for decoder, entry in zip(self._decoders, self.topic.entries, strict=True):
+        for stream, entry in zip(self._streams, self.topic.entries, strict=True):
             silent = now - entry.source.heard_s > silent_after and not self.waits
             channels = ", ".join(channel for channel, _ in entry.channels)
-            if decoder.problem is not None or (silent and decoder.absent is not None):
-                found.append(decoder.problem or decoder.absent)
+            if stream.problem is not None or (silent and stream.absent is not None):
+                found.append(stream.problem or stream.absent)
             elif silent and not self.messages:
                 if not OPTIONAL.issuperset(entry.source.channels):
                     found.append(f"{entry.source.name}: nothing received, so no {channels}")

@@ -1,7 +1,6 @@
 """Topics: which carry which channels, of which type and in which quality of service."""
 
 import importlib
-import re
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -16,6 +15,7 @@ from rclpy.qos import (
 
 from eha_monitor.errors import InputError
 from eha_monitor.live.rows import Source
+from eha_monitor.recordings.cdr import steps_of
 from eha_monitor.settings.channels import Channel
 from eha_monitor.settings.monitor import Settings
 
@@ -83,7 +83,6 @@ DEFAULT_TYPES = {"position": "sensor_msgs/msg/JointState",
 HELD = frozenset({"temperature"})
 # What the diagnosis reads from recordings, and no stage of the live monitor.
 UNUSED = frozenset({"omega_d"})
-STEP = re.compile(r"(\w+)(?:\[(\d+)\])?")
 
 
 @dataclass(frozen=True)
@@ -147,9 +146,11 @@ def topics_of(settings: Settings, source: str = "config",
             check_topic(channel.topic)
         except InputError as problem:
             raise InputError(f"{source}: channels.{name}.topic: {problem}") from problem
-        if not all(STEP.fullmatch(part) for part in channel.field.split(".")):
+        try:
+            steps_of(channel.field)
+        except ValueError as problem:
             raise InputError(f"{source}: channels.{name}.field: expected a field path such as "
-                             f"position or wrench.force.x, got {channel.field!r}")
+                             f"position or wrench.force.x, got {channel.field!r}") from problem
         key = (channel.name, round(channel.delay * 1e9), name in HELD)
         streams.setdefault(channel.topic, {}).setdefault(key, []).append((name, channel))
     topics = []

@@ -1,6 +1,6 @@
 """A ground of the proof: strangers' rigs, by other equations, each with several recordings.
 
-The rigs are those of :mod:`eha_monitor.concealed.strangers`: friction by laws that the catalogue
+The rigs are those of :mod:`strangers`: friction by laws that the catalogue
 does not have, B that drifts with the oil's temperature, loads that differ between recordings, a
 config that ``init`` drafts from data sheets.  Each recording is diagnosed alone, and all of a rig
 together.  A name is right within its class: dry friction of another law is dry friction.
@@ -10,18 +10,18 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from eha_monitor.concealed.strangers.draw import draw_rig
-from eha_monitor.concealed.strangers.generate import truth_of, write
-from eha_monitor.prove.grounds import (
+from strangers.draw import draw_rig
+from strangers.generate import truth_of, write
+
+from eha_monitor.prove.score import SIGMAS
+from eha_monitor.prove.trial import Question, prove
+from ground_parts import (
     Ground,
     after_of,
     answer_of,
     compared_row,
     said_of,
-    with_ground,
 )
-from eha_monitor.prove.score import SIGMAS
-from eha_monitor.prove.trial import Question, prove
 
 RIGS = 5
 TOGETHER = "_all"
@@ -63,7 +63,7 @@ def prove_strangers(ground: Ground, announce: Callable[[str], None],
         facts.append(f"{words}: {good} of {len(rows)} answers name what is there, within its "
                      f"class, and nothing else; {inside} of {len(own)} of B and the named sizes "
                      f"inside ± {SIGMAS:g} standard deviations")
-    return with_ground(found, "strangers", facts, ratios, ground.work)
+    return {**found, "facts": facts, "parameters": ratios}
 
 
 def conceal(case: Strange, folder: Path) -> dict:

@@ -4,10 +4,12 @@ from dataclasses import dataclass
 from math import atan, exp, floor, pi, sqrt, tanh
 from typing import NamedTuple
 
+import numba
 import numpy as np
 from scipy.signal import butter, lfilter, lfilter_zi
 
-from eha_monitor.compiled import njit
+# Compiled as the package's own plants are, and kept beside this file.
+njit = numba.njit(cache=True, error_model="numpy", fastmath={"contract", "arcp"})
 
 
 @dataclass(frozen=True)

@@ -9,10 +9,12 @@ import time
 from pathlib import Path
 
 import click
+from watch import Seen, watch
 
 from eha_monitor.errors import InputError
 from eha_monitor.health.alarms import NOT_JUDGED
 
+ROOT = Path(__file__).resolve().parents[1]
 NAMESPACE = "/eha"
 BOTH_ALARMS = frozenset({"viscous_damping_high", "bulk_modulus_low"})
 START_SECONDS = 60.0  # at most, until the monitor is there
@@ -82,23 +84,12 @@ def _last_line(path: Path) -> str:
     return lines[-1] if lines else "it printed nothing"
 
 
-def resource(name: str) -> str:
-    """Return a file or folder of the checkout, or else of the installation."""
-    roots = (Path(__file__).parents[1], Path(sys.prefix) / "share" / "eha_monitor")
-    for root in roots:
-        if (root / name).exists():
-            return str(root / name)
-    raise DemoFailed(f"{name} is neither in {roots[0]} nor in {roots[1]}")
-
-
 def watched(children: Children, seconds: float, alarms: frozenset[str]) -> None:
     """Show what the monitor publishes until ``alarms`` are raised; else raise DemoFailed."""
-    from eha_monitor.ros.watch import watch
-
     def say(line: str, level: str | None) -> None:
         click.secho(f"  {line}", fg=_COLOURS.get(level), bold=level is not None)
 
-    def finished(seen) -> bool:
+    def finished(seen: Seen) -> bool:
         children.check()
         return alarms <= seen.raised
 
@@ -115,9 +106,7 @@ def watched(children: Children, seconds: float, alarms: frozenset[str]) -> None:
 
 def awaited(children: Children) -> None:
     """Wait until the monitor is there."""
-    from eha_monitor.ros.watch import watch
-
-    def finished(seen) -> bool:
+    def finished(seen: Seen) -> bool:
         children.check()
         return seen.heard
 
@@ -149,7 +138,7 @@ def live(logs: Path) -> None:
     print("1. Simulator and monitor, live.  B rises from 600 to 1300 N·s/m from 10 s on,\n"
           "   air enters the oil from 18 s on.", flush=True)
     with Children(logs) as children:
-        config = resource("config/demo.yaml")
+        config = str(ROOT / "config/demo.yaml")
         children.start("monitor", "--config", config)
         children.start("simulator", "--config", config)
         watched(children, LIVE_SECONDS, BOTH_ALARMS)
@@ -162,7 +151,7 @@ def replayed(logs: Path) -> None:
     with Children(logs) as children:
         children.start("monitor")
         awaited(children)  # else the bag begins without it
-        children.start("replay", resource("bags/air_ingress"))
+        children.start("replay", str(ROOT / "bags/air_ingress"))
         watched(children, REPLAY_SECONDS, frozenset({"bulk_modulus_low"}))
 
 
@@ -170,7 +159,7 @@ def reported(out: Path) -> Path:
     """Estimate from the bundled bag at once, and write the report."""
     print("3. The same bag at once, with a report.", flush=True)
     report, answer = out / "report.html", out / "report.json"
-    run("estimate", resource("bags/air_ingress"), "--report", str(report), "--json", str(answer))
+    run("estimate", str(ROOT / "bags/air_ingress"), "--report", str(report), "--json", str(answer))
     found = json.loads(answer.read_text())["parameters"]
     if any(found[name]["status"] != "converged" for name in ("B", "beta_e")):
         raise DemoFailed(f"estimate did not converge: {found}")
@@ -181,7 +170,7 @@ def diagnosed(out: Path) -> Path:
     """Ask of a bag that hides dry friction what the model leaves out, and write the report."""
     print("4. Another bag, hidden_friction: B alone would look like wear.", flush=True)
     report, answer = out / "diagnosis.html", out / "diagnosis.json"
-    run("diagnose", resource("bags/hidden_friction"), "--report", str(report), "--json",
+    run("diagnose", str(ROOT / "bags/hidden_friction"), "--report", str(report), "--json",
         str(answer))
     found = json.loads(answer.read_text())
     names = {name for effect in found["effects"]

@@ -7,13 +7,13 @@ from pathlib import Path
 import numpy as np
 
 from eha_monitor.concealed.generate import START_NS, write_both
-from eha_monitor.concealed.strangers.draw import ERRORS, Setting, StrangerRig
-from eha_monitor.concealed.strangers.plant import ATMOSPHERE, DAHL, NO_FRICTION, PREROLL, recording
 from eha_monitor.draft.rig import Answers, rig_entries, seen_in
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings.load import settings_from_tree, text_tree
 from eha_monitor.settings.monitor import Settings
 from eha_monitor.settings.rig import Tolerance
+from strangers.draw import ERRORS, Setting, StrangerRig
+from strangers.plant import ATMOSPHERE, DAHL, NO_FRICTION, PREROLL, recording
 
 DRY = ("coulomb_friction", "stribeck_friction", "presliding_friction")
 # What is as good a name as the effect's own on these rigs: dry friction of another law is the

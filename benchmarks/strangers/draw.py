@@ -5,7 +5,7 @@ from math import exp, pi
 
 import numpy as np
 
-from eha_monitor.concealed.strangers.plant import (
+from strangers.plant import (
     DAHL,
     GAUSSIAN,
     KARNOPP,

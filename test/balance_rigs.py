@@ -1,23 +1,15 @@
 """Rigs whose balances are compared as they stand: clean, and with one known effect.
 
-    python benchmarks/inverse_trial.py [--draws 20] [--rig eha] [--seed 1]
-
 The recordings are made here with a few lines of numpy: a motion is prescribed, the force, flow
 and speed that it takes are written down with B and effects of the draw's own, and sensors add
 noise and steps.  Nothing of the simulator or of the catalogue takes part.
 """
 
-import argparse
-import time
-from collections import Counter
 from pathlib import Path
 
 import numpy as np
-from rich.console import Console
-from rich.table import Table
 from scipy.ndimage import gaussian_filter1d
 
-from eha_monitor.mismatch.diagnose import diagnose
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings import load_settings
 
@@ -139,35 +131,3 @@ def right(found, wanted):
         return found.verdict == "consistent" and not names
     first = {names[0], *found.effects[0].indistinguishable_from} if names else set()
     return found.verdict == "mismatch" and bool(first & wanted)
-
-
-def main() -> None:
-    """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--draws", type=int, default=20)
-    parser.add_argument("--rig", choices=("", *MAKERS), default="")
-    parser.add_argument("--seed", type=int, default=1)
-    options = parser.parse_args()
-    table = Table(title="balances compared as they stand: simulated recordings")
-    for head in ("rig", "case", "right", "nothing added", "said", "s each"):
-        table.add_column(head)
-    for rig, cases in CASES.items():
-        if options.rig not in ("", rig):
-            continue
-        for case, wanted in cases.items():
-            said, good, alone, began = Counter(), 0, 0, time.perf_counter()
-            for k in range(options.draws):
-                found = diagnose(*MAKERS[rig](case, options.seed * 1000 + k))
-                good += right(found, wanted)
-                alone += len(found.effects) <= bool(wanted)
-                said[f"{found.verdict} " + "+".join(e.name for e in found.effects)] += 1
-            row = (rig, case, f"{good}/{options.draws}", f"{alone}/{options.draws}",
-                   "; ".join(f"{n}x {words}" for words, n in said.most_common(4)),
-                   f"{(time.perf_counter() - began) / options.draws:.1f}")
-            print("  ".join(row), flush=True)
-            table.add_row(*row)
-    Console(width=180).print(table)
-
-
-if __name__ == "__main__":
-    main()

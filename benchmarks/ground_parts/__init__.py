@@ -1,14 +1,10 @@
-"""Grounds of the proof beside the draws: a published plant, another simulator, the triangle.
+"""What the grounds of ``benchmarks/grounds.py`` share: how they are run, truth beside answer."""
 
-Here is what they share: how they are run, and how truth and answer are compared.
-"""
-
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from eha_monitor.concealed.cases import Case
-from eha_monitor.prove.files import read_json, write_json
+from eha_monitor.prove.files import read_json
 from eha_monitor.prove.trial import Question, Trial
 
 
@@ -23,12 +19,11 @@ class Ground:
     seed: int = 1
     cases: int = 0
     jobs: int = 0
-    keep: str = "same"
 
     def trial(self, cases: tuple[Case, ...], questions: tuple[Question, ...] = (),
               **more) -> Trial:
         """Return the trial of some recordings."""
-        return Trial(cases, self.seed, self.work, False, self.jobs, self.keep,
+        return Trial(cases, self.seed, self.work, False, self.jobs,
                      questions=questions, **more)
 
 
@@ -66,12 +61,3 @@ def compared_row(group: str, name: str, true: float, said: dict | None, aim: flo
     return {"group": group, "name": name, "true": true, "said": value, "stddev": sigma,
             "unit": (said or {}).get("unit", ""), "relative": error, "aim": aim,
             "within": error is not None and bool(error <= aim)}
-
-
-def with_ground(found: dict, name: str, facts: Sequence[str], parameters: Sequence[dict],
-                work: Path, **more) -> dict:
-    """Return a trial's result with what the ground adds, and write it."""
-    found = {**found, "ground": name, "facts": list(facts), "parameters": list(parameters),
-             **more}
-    write_json(work / "proof.json", found)
-    return found

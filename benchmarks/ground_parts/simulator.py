@@ -12,20 +12,21 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
+import record
 
 from eha_monitor.errors import InputError
 from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.prove.files import digest_of, read_json
-from eha_monitor.prove.grounds import (
+from eha_monitor.prove.trial import Question, prove
+from ground_parts import (
     Ground,
     after_of,
     answer_of,
     compared_row,
     said_of,
-    with_ground,
 )
-from eha_monitor.prove.trial import Question, prove
 
+FOLDER = "fluid_power_sim"  # RIG_MOTION.csv.gz and the key
 KEY = "key.json"
 SUFFIX = ".csv.gz"
 # Channel -> (white noise, resolution), SI; the pressure and position noise of the draws.
@@ -62,17 +63,10 @@ class Table:
         return self.name.rpartition("_")[2]
 
 
-def prove_simulator(ground: Ground, data: Path, config: Path,
-                    announce: Callable[[str], None], say: Callable[[str, float], None]
-                    ) -> dict:
-    """Run the trial on the recordings of a folder.
-
-    Parameters
-    ----------
-    ground : ``cases`` counts rigs; 0 takes all.
-    data : folder of ``RIG_MOTION.csv.gz`` and ``key.json``.
-    config : nominal config with the ``table`` section for the import.
-    """
+def prove_simulator(ground: Ground, announce: Callable[[str], None],
+                    say: Callable[[str, float], None]) -> dict:
+    """Run the trial on the simulator's recordings; ``ground.cases`` counts rigs."""
+    data, config = record.DATA / FOLDER, record.ROOT / "config" / f"{FOLDER}.yaml"
     tables = tables_of(data, config, ground)
     questions = questions_of(tables)
     trial = ground.trial(tables, questions, conceal=conceal,
@@ -88,7 +82,7 @@ def prove_simulator(ground: Ground, data: Path, config: Path,
              "exactly what the key says, "
              f"{sum(row['within_class'] for row in found['rows'])} within a declared class",
              f"{sum(row['within'] for row in own)} of {len(own)} parameters within {CLOSE:.0%}"]
-    return with_ground(found, "simulator", facts, ratios, ground.work)
+    return {**found, "facts": facts, "parameters": ratios}
 
 
 def tables_of(data: Path, config: Path, ground: Ground) -> tuple[Table, ...]:

@@ -14,16 +14,15 @@ import numpy as np
 from eha_monitor.concealed.cases import SAMPLE_TIME, Case
 from eha_monitor.concealed.generate import write_case
 from eha_monitor.physics.excitation import demanded_position, total_duration
-from eha_monitor.prove.grounds import (
+from eha_monitor.prove.trial import Question, answer, begin, made, opened, result, seal
+from eha_monitor.settings.rig import Segment
+from ground_parts import (
     Ground,
     after_of,
     answer_of,
     compared_row,
     said_of,
-    with_ground,
 )
-from eha_monitor.prove.trial import Question, answer, begin, made, opened, result, seal
-from eha_monitor.settings.rig import Segment
 
 SPEED = 0.04  # m/s of the paper's triangle
 CLOSE = 0.05  # of F_c and of B with the second recording
@@ -62,7 +61,7 @@ def prove_triangle(ground: Ground, announce: Callable[[str], None],
     found = result(diagnoses, opened(trial, sealed), sealed)
     rows = [judged(case, advice[case.name], ground.work) for case in triangles]
     ratios = [row for case in triangles for row in parameters(case, ground.work)]
-    return with_ground(found, "triangle", facts_of(rows), ratios, ground.work, triangles=rows)
+    return {**found, "facts": facts_of(rows), "parameters": ratios}
 
 
 def triangle_case(i: int, seed: int) -> Case:
