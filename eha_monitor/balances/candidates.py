@@ -24,6 +24,7 @@ from eha_monitor.balances.course import (
     pumped_side,
     slope,
 )
+from eha_monitor.compiled import njit
 from eha_monitor.physics.effects.oil import compliance
 from eha_monitor.settings.rig import Rig
 
@@ -109,18 +110,20 @@ def founded(names: Iterable[str], of: Mapping[str, Candidate]) -> list[str]:
     return [name for name in names if not of[name].upon or of[name].upon in grounds]
 
 
+@njit
 def stop(x: np.ndarray, reach: float) -> np.ndarray:
     """Return Prandtl's stop operator of a motion, (m,) in -1..1: friction of a bent seal.
 
     It holds its value at rest and turns round within twice ``reach`` m.
     """
-    out, z = np.empty(len(x)), 0.0
-    for k, step in enumerate(np.diff(x, prepend=x[0]).tolist()):
-        z = min(max(z + step / reach, -1.0), 1.0)
-        out[k] = z
+    out, z, before = np.empty(len(x)), 0.0, x[0]
+    for k in range(len(x)):
+        z = min(max(z + (x[k] - before) / reach, -1.0), 1.0)
+        out[k], before = z, x[k]
     return out
 
 
+@njit
 def taken_up(x: np.ndarray, slack: float, near: float) -> np.ndarray:
     """Return how far a one-sided load is taken up, (m,) 0..1.
 
@@ -132,10 +135,11 @@ def taken_up(x: np.ndarray, slack: float, near: float) -> np.ndarray:
     near : m that the motion must go back before it has turned, more than noise.
     """
     side, out, anchor = stop(x, near), np.empty(len(x)), x[0]
-    for k, (place, z) in enumerate(zip(x.tolist(), side.tolist(), strict=True)):
-        if z <= -1.0:
-            anchor = place
-        out[k] = 0.5 * (1.0 + z) * min(max(2.0 * ((place - anchor) / slack - 0.75), 0.0), 1.0)
+    for k in range(len(x)):
+        if side[k] <= -1.0:
+            anchor = x[k]
+        met = min(max(2.0 * ((x[k] - anchor) / slack - 0.75), 0.0), 1.0)
+        out[k] = 0.5 * (1.0 + side[k]) * met
     return out
 
 
