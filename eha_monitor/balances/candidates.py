@@ -247,7 +247,8 @@ def force_candidates(scale: Scale, rig: Rig) -> tuple[Candidate, ...]:
         one("dB", "asymmetric_friction", "N·s/m", "damping more forwards than the mean", 0,
             lambda c, r: np.abs(c.v), family="viscous", symbol="dB", odd=False, power=1.0),
         one("k", "spring_load", "N/m", "spring", 1, lambda c, r: c.x - origin,
-            family="position", symbol="k", shape=(("x_0", origin),)),
+            family="position", symbol="k", shape=(("x_0", origin),),
+            twins=("position_scale",)),
     ]
     for i, share in enumerate(BENT, start=1):
         found.append(one(

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -154,7 +155,8 @@ def judge(machine: Machine, courses: Sequence[Course], settings: Settings) -> Ju
         own |= {name: (float(v), float(d)) for name, v, d in zip(free, value, stddev,
                                                                  strict=True)}
         signed = {c.name for c in candidates if c.sign and c.effect not in settings.effects}
-        found.append(replace(_judged(machine, one, table, held, free, loading, signed, loose),
+        given = Given(loading, signed, loose, rig.mass)
+        found.append(replace(_judged(machine, one, table, held, free, given),
                              each=tuple(tables)))
         fitted = list(dict.fromkeys([
             *(name for name in found[-1].now if name in table.places), *free]))
@@ -175,17 +177,27 @@ def within_speed(courses: Sequence[Course], tops: Sequence[float]) -> list[Cours
             for course in courses for top in tops] or list(courses)
 
 
-def _judged(machine: Machine, one: MachineBalance, table: Table, held: dict[str, float],
-            free: list[str], load: Setting | None, signed: set[str],
-            loose: dict[str, float]) -> JudgedBalance:
-    """Return what has changed in one balance: one more term at a time, until none is far.
+class Given(NamedTuple):
+    """What is known of a setting and of the config.
 
-    Parameters
+    Attributes
     ----------
     load : of the machine's recordings; compared last, beside all else.
     signed : terms of which the config holds nothing, so that their sign is that of physics.
     loose : spread of what a setting has beside its load.
+    mass : of the config, kg.
     """
+
+    load: Setting | None
+    signed: set[str]
+    loose: dict[str, float]
+    mass: float
+
+
+def _judged(machine: Machine, one: MachineBalance, table: Table, held: dict[str, float],
+            free: list[str], given: Given) -> JudgedBalance:
+    """Return what has changed in one balance: one more term at a time, until none is far."""
+    load, signed, loose, mass = given
     policy = machine.policy
 
     def error(weights: dict[str, float]) -> float:
@@ -205,6 +217,8 @@ def _judged(machine: Machine, one: MachineBalance, table: Table, held: dict[str,
     surely = {name: value for name, value in held.items()
               if of[name].always or of[name].effect in OIL or any(
                   name in family.terms for family in one.named)}
+    if "dM" in of:
+        surely["dM"] = mass + held.get("dM", 0.0)
     order = {c.name: i for i, c in enumerate(table.candidates)}
     oil = loose | oil_of([p for p in one.parameters if p.name in of], of, policy)
     names = [name for name in one.scatter.names
