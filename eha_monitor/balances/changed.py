@@ -181,8 +181,10 @@ def _health(machine: Machine, judged: Judged, stiffness: Stiffness, before: bool
             ) -> dict[str, Value]:
     """Return B and beta_e of the machine with their spread, or those of the recordings."""
     found = {}
-    for p in (p for one in machine.balances for p in one.parameters if p.name == "B"):
-        value, stddev = p.value, float(np.hypot(p.between, p.stddev))
+    for one, p in ((one, p) for one in machine.balances for p in one.parameters
+                   if p.name == "B"):
+        form = dict(zip(one.terms, one.forms, strict=False)).get("B", 0.0)
+        value, stddev = p.value, float(np.linalg.norm((p.between, p.stddev, form)))
         if not before:
             value, stddev = judged.values.get(p.name, (value, stddev))
         if value > 0.0 and stddev < value:  # else these recordings do not determine it

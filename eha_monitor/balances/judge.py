@@ -217,6 +217,7 @@ def _judged(machine: Machine, one: MachineBalance, table: Table, held: dict[str,
     surely = {name: value for name, value in held.items()
               if of[name].always or of[name].effect in OIL or any(
                   name in family.terms for family in one.named)}
+    forms = dict(zip(one.terms, one.forms, strict=False))  # of old files there are none
     if "dM" in of:
         surely["dM"] = mass + held.get("dM", 0.0)
     order = {c.name: i for i, c in enumerate(table.candidates)}
@@ -233,7 +234,8 @@ def _judged(machine: Machine, one: MachineBalance, table: Table, held: dict[str,
         t, far = _farther(scatter, left, beside, free_oil, policy)
         place = ties.largest(far)
         if largest is None:
-            largest = _moved(scatter, table, held, first, place, t[place], scatter.limit[place])
+            largest = _moved(scatter, table, (held, forms), first, place, t[place],
+                             scatter.limit[place])
         complete = bool(far[place] <= 1.0)
         if complete or len(changes) == MOST_CHANGES:
             break
@@ -272,7 +274,7 @@ def _judged(machine: Machine, one: MachineBalance, table: Table, held: dict[str,
         equal.remove(i)
         rivals = tuple(dict.fromkeys([*of[name].twins, *(
             other for j in equal if (other := of[left.names[j]].effect) != of[name].effect)]))
-        changes.append((name, _moved(scatter, table, held, replace(
+        changes.append((name, _moved(scatter, table, (held, forms), replace(
             left, value=scatter.mean + amount), i, t[i], scatter.limit[i], before - after,
                 rivals)))
         now = more
@@ -386,15 +388,25 @@ def _load(machine: Machine, table: Table, now: dict[str, float], free: list[str]
                  FORCE_OF_SENSORS, c.symbol)
 
 
-def _moved(scatter: Scatter, table: Table, held: dict[str, float], found: Amplitudes, i: int,
-           t: float, limit: float, removed: float = 0.0, rivals: tuple[str, ...] = ()
-           ) -> Moved:
-    """Return a term of a recording beside the machine's."""
-    name = found.names[i]
+def _moved(scatter: Scatter, table: Table, own: tuple[dict[str, float], dict[str, float]],
+           found: Amplitudes, i: int, t: float, limit: float, removed: float = 0.0,
+           rivals: tuple[str, ...] = ()) -> Moved:
+    """Return a term of a recording beside the machine's.
+
+    Parameters
+    ----------
+    own : the machine's parameters, and how far each goes with other shapes of its family that
+        fit as well: healthy and present value share it, their difference does not.
+    """
+    name, (held, forms) = found.names[i], own
     c = table.candidates[table.places[name] - 1]
-    dry = c.family == WEAR and not c.upon  # of any shape it is a force
-    base = own_part(name, table, held) if dry else held.get(name, 0.0)
-    stddev = float(np.hypot(found.stddev[i], scatter.spread[i]))
-    return Moved(name, c.effect, c.balance, c.words, c.unit, base + float(found.value[i]), stddev,
-                 base + scatter.mean[i], scatter.spread[i], float(t), limit, removed, rivals,
-                 c.symbol)
+    if c.family == WEAR and not c.upon:  # of any shape it is a force
+        base = own_part(name, table, held)
+        form = float(np.linalg.norm([own_part(name, table, {other: value})
+                                     for other, value in forms.items() if other in held]))
+    else:
+        base, form = held.get(name, 0.0), forms.get(name, 0.0)
+    spread = float(np.hypot(scatter.spread[i], form))
+    return Moved(name, c.effect, c.balance, c.words, c.unit, base + float(found.value[i]),
+                 float(np.hypot(found.stddev[i], spread)), base + scatter.mean[i], spread,
+                 float(t), limit, removed, rivals, c.symbol)
