@@ -181,9 +181,9 @@ def _health(machine: Machine, judged: Judged, stiffness: Stiffness, before: bool
             ) -> dict[str, Value]:
     """Return B and beta_e of the machine with their spread, or those of the recordings."""
     found = {}
-    for one, p in ((one, p) for one in machine.balances for p in one.parameters
-                   if p.name == "B"):
-        form = dict(zip(one.terms, one.forms, strict=False)).get("B", 0.0)
+    of = [(balance, p) for balance in machine.balances for p in balance.parameters]
+    for balance, p in [pair for pair in of if pair[1].name == "B"]:
+        form = dict(zip(balance.terms, balance.forms, strict=False)).get("B", 0.0)
         value, stddev = p.value, float(np.linalg.norm((p.between, p.stddev, form)))
         if not before:
             value, stddev = judged.values.get(p.name, (value, stddev))
