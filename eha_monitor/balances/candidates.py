@@ -21,6 +21,7 @@ from eha_monitor.balances.course import (
     direction_of,
     has_flow,
     of_both,
+    of_filled,
     pumped_side,
     slope,
 )
@@ -312,7 +313,12 @@ def pressure_rate(course: Course, rig: Rig) -> np.ndarray:
 
 def pumped_pressure(course: Course, rig: Rig) -> np.ndarray:
     """Return the pressure above ambient of the chamber that the pump fills, (m,) Pa."""
-    p = np.where(pumped_side(course, rig) > 0.0, course.p1, course.p2)
+    return _above_ambient(np.where(pumped_side(course, rig) > 0.0, course.p1, course.p2), course,
+                          rig)
+
+
+def _above_ambient(p: np.ndarray, course: Course, rig: Rig) -> np.ndarray:
+    """Return by how much a chamber's pressure is above ambient, (m,) Pa."""
     return np.maximum(course.absolute(p, rig) - rig.ambient_pressure, 0.0)
 
 
@@ -376,7 +382,14 @@ def flow_candidates(scale: Scale, rig: Rig) -> tuple[Candidate, ...]:
             shape=(("dp_0", LAMINAR),)),
         one("L_1", "external_leakage", "m³/(s·Pa)", "leakage to ambient", 1,
             lambda c, r: -pumped_side(c, r) * pumped_pressure(c, r) * _as_of_chamber_1(c, r),
-            family="gap", symbol="L_1"),
+            family="gap", symbol="L_1", variant=True),
+        one("L_1a", "external_leakage", "m³/(s·Pa)", "leakage of chamber 1 to ambient", 1,
+            lambda c, r: of_filled(-_above_ambient(c.p1, c, r), np.zeros(len(c)), c, r),
+            family="gap", symbol="L_1", shape=(("L_2", 0.0),), variant=True, odd=False),
+        one("L_2a", "external_leakage", "m³/(s·Pa)", "leakage of chamber 2 to ambient", 1,
+            lambda c, r: of_filled(np.zeros(len(c)), _above_ambient(c.p2, c, r)
+                                   * r.area_1 / r.area_2, c, r),
+            family="gap", symbol="L_2", shape=(("L_1", 0.0),), variant=True, odd=False),
         one("k_l", "pump_volumetric_loss", "1/Pa", "flow of the pump lost per pressure", 1,
             lambda c, r: None if not pump else -pump * np.abs(c.omega) * _pump_difference(c, r),
             family="gap", symbol="k", shape=(("motoring", 1.0),), power=1.0),
