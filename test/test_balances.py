@@ -12,6 +12,7 @@ from eha_monitor.balances.candidates import Scale, candidates_of
 from eha_monitor.balances.changed import against
 from eha_monitor.balances.course import course_of
 from eha_monitor.balances.machine import healthy_machine
+from eha_monitor.balances.parameters import compressibility
 from eha_monitor.balances.policy import POLICY
 from eha_monitor.balances.scatter import amplitudes_of
 from eha_monitor.balances.table import pooled_table, tables_of
@@ -169,6 +170,53 @@ def test_a_load_in_which_the_healthy_agree_may_change(settings):
     assert change.reference.value == pytest.approx(338.0, abs=4.0)
     assert "pressure_offset" in change.indistinguishable_from
     assert against(healthy, [stranger(8)], settings, ("healthy",) * 4).verdict == "consistent"
+
+
+def test_loads_that_differ_are_compared_with_their_scatter(settings):
+    """A platform carries 300 to 380 N in health; before, no load was then ever a change."""
+    healthy = healthy_machine([stranger(seed, load=300.0 + 20.0 * seed) for seed in range(5)],
+                              settings)
+    found = against(healthy, [stranger(7, load=800.0)], settings, ("healthy",) * 5)
+    (change,) = found.changes
+    assert change.what == "constant_load"
+    assert change.now.value == pytest.approx(800.0, abs=10.0)
+    assert change.reference.value == pytest.approx(340.0, abs=5.0)
+    same = against(healthy, [stranger(8, load=350.0)], settings, ("healthy",) * 5)
+    assert same.verdict == "consistent"
+
+
+def test_dry_friction_of_any_shape_is_told_as_a_force(settings):
+    """The machine may hold its friction bent or with a Stribeck rise: what it has is a force."""
+    healthy = healthy_machine([stranger(seed, rise=120.0) for seed in range(5)], settings)
+    found = against(healthy, [stranger(7, dry=270.0, rise=120.0)], settings, ("healthy",) * 5)
+    change = next(one for one in found.changes if one.symbol == "F_c")
+    rise = change.now.value - change.reference.value
+    assert rise == pytest.approx(90.0, rel=0.15)
+    assert 180.0 < change.reference.value < 250.0  # with what of the rise the motion shows
+
+
+def test_behind_check_valves_the_filled_chamber_is_compressed():
+    """Equal areas, the lower pressure held at the source's: known motion, flow by its equation."""
+    area, volume, beta, pump = 1.3e-3, 2.2e-4, 1.1e9, 1e-6
+    config = settings_from_tree({"rig": {
+        "area_1": area, "area_2": area, "volume_1": volume, "volume_2": volume, "mass": 100.0,
+        "pump_displacement": pump, "position_gain": None, "leakage": 0.0,
+        "makeup_conductance": 0.0, "charge_pressure": 1.3e6}}, "a test")
+    rng, t = np.random.default_rng(2), np.arange(0.0, 20.0, 1e-3)
+    x = sum(a * np.sin(2.0 * np.pi * f * t + i) for i, (a, f) in enumerate(
+        ((2e-2, 0.3), (4e-3, 1.1), (1e-3, 2.7), (4e-4, 4.3))))
+    v = np.gradient(x, t)
+    force = 100.0 * np.gradient(v, t) + 3500.0 * v + 200.0 * np.tanh(v / 1e-3)
+    head = np.abs(force) / area
+    p1, p2 = (1.3e6 + np.where(way * force > 0.0, head, 0.0) for way in (1.0, -1.0))
+    oil = np.sign(force) * volume / beta * np.gradient(head, t)
+    omega = (area * v + oil) / pump
+    noise = {"x": 1e-6, "omega": 1e-2, "p1": 500.0, "p2": 500.0}
+    recording = Recording(1e-3, {name: values + noise[name] * rng.standard_normal(len(t))
+                                 for name, values in (("x", x), ("omega", omega), ("p1", p1),
+                                                      ("p2", p2))})
+    found = compressibility(course_of(recording, config), config.rig)
+    assert abs(found.value - 1.0 / beta) < 2.0 * found.stddev < 0.4 / beta
 
 
 def test_more_friction_at_another_damping_is_more_friction(settings):

@@ -139,7 +139,8 @@ def numbers_of(name: str, terms: Sequence[Term], values: dict[str, Value]) -> di
     for term in reversed(terms):
         numbers |= {key: value for key, value in term.candidate.shape if key in numbers}
     numbers |= {key: one.value for key, one in values.items() if key in numbers}
-    if name == "external_leakage" and not terms[0].candidate.shape:  # of both chambers
+    if name == "external_leakage" and not any(
+            term.candidate.shape for term in terms):  # of both chambers
         numbers["L_2"] = numbers["L_1"]
     return numbers
 
