@@ -256,8 +256,9 @@ def _judged(machine: Machine, one: MachineBalance, table: Table, held: dict[str,
         # What removes nearly as much is a rival.  Of what leaves the same, a number that the
         # machine has comes first, then what stands first among the candidates.  But a seal wears
         # before a load or a spring comes to a machine; its oil is another matter.
-        equal = [i for i in range(len(removed)) if removed[i] >= most * np.exp(
-            -2.0 * policy.alone)]
+        by_oil = min(left.gone_with(oil, policy.varied), most)  # which is free beside each
+        equal = [i for i in range(len(removed)) if removed[i] - by_oil >= (
+            most - by_oil) * np.exp(-2.0 * policy.alone)]
         i = min((i for i in equal if left.left - removed[i] <= max(
             left.left - most, table.n * table.floor**2) * np.exp(2.0 * policy.alone)),
                 key=lambda i: (left.names[i] != WEARS, left.names[i] not in held,

@@ -66,6 +66,17 @@ class Amplitudes:
             amount[i], gone[i] = w[0], 2.0 * w @ side[own] - w @ inner @ w
         return amount, gone
 
+    def gone_with(self, oil: Mapping[str, float], most: float) -> float:
+        """Return the squares that are gone with these parameters alone, by ``most`` spreads."""
+        own = [self.names.index(name) for name in oil if name in self.names]
+        if not own:
+            return 0.0
+        inner = (self.response * self.power[:, None])[np.ix_(own, own)]
+        side, limit = (self.value * self.power)[own], most * np.array(
+            [oil[self.names[i]] for i in own])
+        w = np.clip(minimum_norms(inner, side[:, None])[:, 0], -limit, limit)
+        return max(float(2.0 * w @ side - w @ inner @ w), 0.0)
+
     def moved(self, place: int, amount: float) -> "Amplitudes":
         """Return what is left once a term has moved."""
         left = self.left - (2.0 * self.value[place] - amount) * amount * self.power[place]
