@@ -157,7 +157,8 @@ def _diagnosed(recordings: list[Recording], settings: Settings, held_out: Record
     # balance is theirs.
     unanswered = found.verdict == "unexplained" and not found.learned
     if unanswered and (far or (hypothesis is None and first is not None and (
-            first.verdict != "mismatch" and not credible(experiment, {})))):
+            first.verdict != "mismatch" and not force_is_closed(first)
+            and not credible(experiment, {})))):
         return by_first(first, started), None
     decided = decision is not None and decision.decided
     return replace(found, machine=None if first is None else first.machine,
