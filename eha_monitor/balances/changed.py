@@ -11,7 +11,7 @@ from eha_monitor.balances.answer import overlay_of, place_of, still
 from eha_monitor.balances.candidates import SIDES
 from eha_monitor.balances.course import Course, courses_of
 from eha_monitor.balances.judge import Judged, JudgedBalance, Moved, judge
-from eha_monitor.balances.machine import Machine
+from eha_monitor.balances.machine import LEAST, Machine
 from eha_monitor.balances.model import Model, Term, of_judged
 from eha_monitor.balances.named import size_of
 from eha_monitor.balances.parameters import Stiffness, stiffness_of
@@ -30,6 +30,7 @@ from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings.monitor import Settings
 from eha_monitor.words import effect_words, listed
 
+SHARED = 0.5  # of a deviation: less of it is of the difference, so that is told too
 FASTER = 1.2  # times the references' speed: beyond it nothing is known of the machine
 WHAT = {"B": "B", "C_h": "beta_e", "D_p": "pump_displacement"}
 EFFECTS = {"viscous_damping": "B", "compliance": "beta_e"}
@@ -137,10 +138,12 @@ def _change(moved: Moved, machine: Machine, settings: Settings, stiffness: Stiff
     words = WORDS.get(moved.name) or (
         name if moved.words in name else f"{name} ({moved.words})")
     symbol = "" if moved.name in WHAT else moved.symbol or moved.name
-    runs = _runs(machine)
+    runs, more = _runs(machine), moved.here - moved.machine
+    by = "" if unit != moved.unit or not moved.apart < SHARED * moved.stddev else (
+        f", {with_uncertainty(abs(more), moved.apart, unit)} {'more' if more > 0.0 else 'less'}")
     return Change(what, symbol, moved.balance, healthy, now, unit, (
         f"{words} is {with_uncertainty(now.value, now.stddev, unit)}, where {runs} have "
-        f"{with_uncertainty(healthy.value, healthy.stddev, unit)}"),
+        f"{with_uncertainty(healthy.value, healthy.stddev, unit)}{by}"),
         tuple(EFFECTS.get(one, one) for one in moved.rivals))
 
 
@@ -184,7 +187,8 @@ def _health(machine: Machine, judged: Judged, stiffness: Stiffness, before: bool
     of = [(balance, p) for balance in machine.balances for p in balance.parameters]
     for balance, p in [pair for pair in of if pair[1].name == "B"]:
         form = dict(zip(balance.terms, balance.forms, strict=False)).get("B", 0.0)
-        value, stddev = p.value, float(np.linalg.norm((p.between, p.stddev, form)))
+        between = max(p.between, LEAST * machine.policy.between * abs(p.value))  # its oil's
+        value, stddev = p.value, float(np.linalg.norm((between, p.stddev, form)))
         if not before:
             value, stddev = judged.values.get(p.name, (value, stddev))
         if value > 0.0 and stddev < value:  # else these recordings do not determine it

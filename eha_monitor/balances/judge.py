@@ -37,6 +37,7 @@ class Moved:
     deviations : Student's t; ``limit`` beyond which it has changed.
     removed : by how much the change lowers the error, as a share of the signal.
     rivals : effects that explain the recording as well.
+    apart : deviation of the difference, which does not hold what both values share.
     """
 
     name: str
@@ -53,6 +54,7 @@ class Moved:
     removed: float = 0.0
     rivals: tuple[str, ...] = ()
     symbol: str = ""
+    apart: float = np.nan
 
 
 @dataclass(frozen=True)
@@ -410,4 +412,5 @@ def _moved(scatter: Scatter, table: Table, own: tuple[dict[str, float], dict[str
     spread = float(np.hypot(scatter.spread[i], form))
     return Moved(name, c.effect, c.balance, c.words, c.unit, base + float(found.value[i]),
                  float(np.hypot(found.stddev[i], spread)), base + scatter.mean[i], spread,
-                 float(t), limit, removed, rivals, c.symbol)
+                 float(t), limit, removed, rivals, c.symbol,
+                 float(np.hypot(found.stddev[i], scatter.spread[i])))
