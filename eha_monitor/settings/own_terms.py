@@ -168,7 +168,7 @@ def effects_field(value):
         if not isinstance(given, dict):
             raise ValueError(f"{name}: expected its parameters {', '.join(known)}")
         if extra := set(given) - set(known):
-            raise ValueError(f"{name}.{sorted(extra)[0]}: unknown key, "
+            raise ValueError(f"{name}.{min(extra, key=str)}: unknown key, "
                              f"expected {', '.join(known)}")
         some_size = any(given.get(p.name) is not None for p in effect.sizes)
         found[name] = {}
