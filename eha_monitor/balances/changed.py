@@ -186,7 +186,7 @@ def _health(machine: Machine, judged: Judged, stiffness: Stiffness, before: bool
     found = {}
     of = [(balance, p) for balance in machine.balances for p in balance.parameters]
     for balance, p in [pair for pair in of if pair[1].name == "B"]:
-        form = dict(zip(balance.terms, balance.forms, strict=False)).get("B", 0.0)
+        form = balance.form_of.get("B", 0.0)
         between = max(p.between, LEAST * machine.policy.between * abs(p.value))  # its oil's
         value, stddev = p.value, float(np.linalg.norm((between, p.stddev, form)))
         if not before:

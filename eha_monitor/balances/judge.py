@@ -219,7 +219,7 @@ def _judged(machine: Machine, one: MachineBalance, table: Table, held: dict[str,
     surely = {name: value for name, value in held.items()
               if of[name].always or of[name].effect in OIL or any(
                   name in family.terms for family in one.named)}
-    forms = dict(zip(one.terms, one.forms, strict=False))  # of old files there are none
+    forms = one.form_of
     if "dM" in of:
         surely["dM"] = mass + held.get("dM", 0.0)
     order = {c.name: i for i, c in enumerate(table.candidates)}

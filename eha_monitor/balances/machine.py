@@ -117,6 +117,11 @@ class MachineBalance:
     levers: tuple[float, ...] = ()
 
     @property
+    def form_of(self) -> dict[str, float]:
+        """``forms`` by the terms' names; files of an older version hold none."""
+        return dict(zip(self.terms, self.forms, strict=False))
+
+    @property
     def terms(self) -> tuple[str, ...]:
         """Names of all its terms."""
         return tuple(one.name for one in (*self.parameters, *self.settings))

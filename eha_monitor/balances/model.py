@@ -223,7 +223,7 @@ def of_machine(one: MachineBalance, courses: Sequence[Course], rig: Rig, scale: 
     lasting = form_and_doubts(whole, list(own.values()), _whole_share(tables, after), policy)
     biases = dict(zip(own, np.sqrt(np.diag(lasting)).tolist(), strict=True))
     found = {p.name: p for p in (*one.parameters, *one.settings)}
-    forms = dict(zip(one.terms, one.forms, strict=False))
+    forms = one.form_of
     sizes = [rms(np.atleast_1d(found[name].value)) for name in own]
     covariance = lasting + np.diag([rms(np.atleast_1d(found[name].stddev)) ** 2 for name in own])
     load = "F_0" if "F_0" in one.terms else ""
