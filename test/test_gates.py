@@ -10,6 +10,7 @@ from eha_monitor.mismatch.diagnosis import SignalFit
 from eha_monitor.mismatch.likelihood.fit import Free
 from eha_monitor.mismatch.name.columns import rig_free
 from eha_monitor.mismatch.name.gates import at_bound, ends_of_tolerance, failures
+from eha_monitor.mismatch.name.posterior import Refits
 from eha_monitor.mismatch.name.refit import wide
 from eha_monitor.mismatch.name.select import with_rig, without_along
 from eha_monitor.mismatch.name.starts import starts_of, with_effect
@@ -70,6 +71,18 @@ def test_friction_that_would_drive_the_piston_is_refused():
     for way in (80.0, -80.0):
         assert ("sign", "asymmetric_friction") in gates_of(
             experiment, moved(fit, asymmetric_friction__dF=way, **names))
+
+
+def test_a_better_fit_of_a_refused_set_is_judged_anew():
+    here = fitted("coulomb_friction")
+    refits, names = Refits(here.experiment.policy), frozenset(here.after.named)
+    worse = moved(here.after, coulomb_friction__F_c=0.0)
+    refits.add(here.experiment, names, replace(
+        worse, log_likelihood=here.after.log_likelihood - 1000.0))
+    refits.refused[names] = tuple(failures(here.experiment, worse))
+    assert refits.refused[names]
+    refits.add(here.experiment, names, here.after)
+    assert not refits.refused and refits.fits[names] is here.after
 
 
 def test_a_leak_that_flows_uphill_is_refused_beyond_its_noise():

@@ -118,6 +118,13 @@ def test_what_was_refitted_is_not_proposed_again():
     assert names_of(proposals_of(found, found[-1], refits)) == [{"constant_load", "drive_lag"}]
 
 
+def test_what_was_fitted_from_elsewhere_is_fitted_again_where_the_guess_promises_more():
+    found = [ranked(100.0, "constant_load"), HARDLY, ranked(0.0)]
+    for known, again in ((99.0, []), (50.0, [{"constant_load"}])):
+        refits = refits_of({(): 0.0, ("constant_load",): known})
+        assert names_of(proposals_of(found, found[-1], refits)) == again
+
+
 def test_sets_without_a_name_are_not_refitted_and_a_handful_is_enough():
     every = ("constant_load", "spring_load", "drive_lag", "drive_gain", "added_mass",
              "relief_valve", "backlash")

@@ -16,6 +16,7 @@ from eha_monitor.mismatch.policy import SearchPolicy
 
 Names = frozenset[str]
 PURSUED = 1.0  # log units of score: where less is gained the search does not go on
+STRAYED = 5.0  # log units: a fit that is that far from its optimum is made again
 
 
 @dataclass
@@ -54,11 +55,20 @@ class Refits:
                 self.stations[names] = fit, value
         elif anyway or value > self.evidence.get(names, -np.inf) + ties.SAME_FIT:
             self.fits[names], self.evidence[names] = fit, value
+            self.refused.pop(names, None)  # a gate judged the fit that this one is better than
             self.left[names] = discrepancy(experiment, fit)
 
-    def known(self, names: Names, here: Names) -> bool:
-        """Tell whether a set was refitted to the end, or looked at from the model at hand."""
-        return names in self.fits or names in self.stations or (here, names) in self.tried
+    def known(self, names: Names, here: Names, promised: float = -np.inf) -> bool:
+        """Tell whether a set was looked at from the model at hand, or refitted from elsewhere.
+
+        Parameters
+        ----------
+        promised : evidence by the linear guess from the model at hand: what was fitted from
+            elsewhere and would be better from here is not known yet.
+        """
+        station = self.stations.get(names, (None, -np.inf))[1]
+        found = max(self.evidence.get(names, -np.inf), station)
+        return (here, names) in self.tried or (found > -np.inf and promised <= found + STRAYED)
 
     def floor(self) -> float:
         """Return the evidence of a model that needs no unknowns, as far as it is known."""
@@ -125,8 +135,9 @@ class Refits:
     def ahead(self, done: dict[Names, float], enough: float) -> tuple[Names, Fit] | None:
         """Return the model where the search goes on; None where it has been everywhere.
 
-        That is the set with the highest evidence, if it counts for something more than those that
-        were linearised before; and at last the one with the highest score.
+        That is the set with the highest evidence that no gate has refused, if it counts for
+        something more than those that were linearised before; and at last the one with the highest
+        score.
 
         Parameters
         ----------
@@ -135,12 +146,14 @@ class Refits:
         """
         best = self.best()
         known = {names: (self.fits[names], value) for names, value in self.evidence.items()
-                 if names == best or all(one == names for one, _ in self.laws_of(names))}
+                 if names == best or (names not in self.refused and all(
+                     one == names for one, _ in self.laws_of(names)))}
         every = {**known, **{names: item for names, item in self.stations.items()
                              if item[1] > self.evidence.get(names, -np.inf)}}
         highest = ties.best(every, lambda names: every[names][1] + log_prior(
             names, self.policy), plainness, ties.SAME_FIT)
-        went = max(done.values(), default=-np.inf)
+        went = max((value for names, value in done.items() if names not in self.refused),
+                   default=-np.inf)
         for names, (fit, value) in ((highest, every[highest]), (best, known[best])):
             if value > done.get(names, -np.inf) + enough and (
                     names == best or self.pursued(value, went)):

@@ -29,7 +29,6 @@ HANDFUL = 4  # sets that are refitted at a linearisation
 MOST_OF = 0.9  # of the best set's gain: the smallest sets that reach it are refitted first
 PROMISING = 0.5  # of it: the best few of each smaller size are looked at
 FEW = 2  # sets more from where fewer unknowns are allowed
-STRAYED = 5.0  # log units: a fit that is that far from its optimum is made again
 
 
 def levels_of(experiment: Experiment, fit: Fit) -> list[Unknowns]:
@@ -130,17 +129,7 @@ def beyond_one_law(found: list[Ranked], here: Names, form: float) -> list[Ranked
 
 def chosen_at(view: Linearised, refits: Refits) -> list[Ranked]:
     """Return the sets that are worth a refit at a linearisation."""
-    own = view.own
-    if own is not None:
-        # What was fitted from elsewhere and would be better by a guess from here is fitted again.
-        start = evidence_at_start(refits, view.here) - (own.evidence - own.prior)
-        again = [one for one in with_names(view.ranking) if one.names < view.here
-                 and one.names in refits.fits and (view.here, one.names) not in refits.tried
-                 and start + one.evidence - one.prior > refits.evidence[one.names] + STRAYED
-                 and one.evidence > own.evidence]
-        if again:
-            return again[:HANDFUL]
-    chosen = proposals_of(view.ranking, own, refits, view.here)
+    chosen = proposals_of(view.ranking, view.own, refits, view.here)
     # Large unknowns hide what they take the place of; where fewer are allowed it shows.
     for level in view.levels:
         if level and tight(level[0], view.fit):
@@ -158,7 +147,8 @@ def rivals_at(view: Linearised, refits: Refits) -> list[Ranked]:
     """
     weights = posterior(refits, [(view.here, view.ranking)], promising=True)
     wanted = {one.names for one in contested(view)} if view.here == refits.best() else set()
-    found = [one for one in with_names(view.ranking) if not refits.known(one.names, view.here)
+    found = [one for one in with_names(view.ranking)
+             if not refits.known(one.names, view.here, promised(refits, view.here, view.own, one))
              and (weights.get(one.names, 0.0) >= refits.policy.rival or one.names in wanted)]
     return ties.ordered(found, lambda one: weights.get(one.names, 0.0),
                         lambda one: plainness(one.names))[:HANDFUL]
@@ -201,7 +191,7 @@ def proposals_of(found: list[Ranked], model: Ranked | None, refits: Refits,
     if model is not None:
         start = evidence_at_start(refits, here)
         better = [one for one in named if one.evidence > model.evidence and refits.pursued(
-            start + one.evidence - one.prior - (model.evidence - model.prior), start)]
+            promised(refits, here, model, one), start)]
     if not better:
         return []
     own = better[-1].evidence if model is None else model.evidence
@@ -218,8 +208,18 @@ def proposals_of(found: list[Ranked], model: Ranked | None, refits: Refits,
     enough = own + PROMISING * (better[0].evidence - own)
     chosen = [one for k in range(1, size) for one in [
         one for one in better if len(one.names) == k and one.evidence >= enough][:FEW]] + chosen
-    return [one for one in chosen if not refits.known(one.names, here)][:HANDFUL] or [
-        one for one in able if not refits.known(one.names, here)][:HANDFUL]
+    def unknown(one: Ranked) -> bool:
+        return not refits.known(one.names, here, promised(refits, here, model, one))
+
+    return list(filter(unknown, chosen))[:HANDFUL] or list(filter(unknown, able))[:HANDFUL]
+
+
+def promised(refits: Refits, here: Names, model: Ranked | None, one: Ranked) -> float:
+    """Return the evidence of a set by the linear guess from the model at hand, log units."""
+    if model is None:
+        return -np.inf
+    return evidence_at_start(refits, here) + (one.evidence - one.prior) - (
+        model.evidence - model.prior)
 
 
 def containing(one: Ranked) -> int:

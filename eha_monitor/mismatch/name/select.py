@@ -14,13 +14,13 @@ from eha_monitor.mismatch.name.columns import FAR_OFF, LOOSE, rig_free
 from eha_monitor.mismatch.name.gates import ends_of_tolerance, failures
 from eha_monitor.mismatch.name.polish import Slopes, polished
 from eha_monitor.mismatch.name.posterior import (
+    STRAYED,
     Names,
     Refits,
     evidence_at_start,
     plainness,
 )
 from eha_monitor.mismatch.name.proposals import (
-    STRAYED,
     Linearised,
     beside,
     chosen_at,
@@ -272,6 +272,10 @@ def selected(experiment: Experiment, say=lambda text, share: None,
             Search.at(sketch, with_unknowns(sketch, start), True, first_view, may_end), say))
     refits, views = explored(search, say).refits, search.views
     gated(experiment, refits)
+    judged: dict = {}
+    while refits.refused != judged:  # what hid behind a set that is no answer
+        judged = dict(refits.refused)
+        gated(experiment, explored(search, say).refits)
     best = refits.best()
     say("weighing effects not in the catalogue", 0.85)
     return Selection(experiment, first, refits, views.get(best),
