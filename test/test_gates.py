@@ -55,8 +55,9 @@ def test_a_sensor_that_errs_to_the_end_of_its_range_is_refused(value):
 
 def test_a_size_that_has_gone_to_nothing_is_refused():
     experiment, fit = with_start("coulomb_friction")
-    assert gates_of(experiment, moved(fit, coulomb_friction__F_c=0.0)) == {
-        ("bound", "coulomb_friction")}
+    for nothing in (0.0, 3e-77):
+        assert gates_of(experiment, moved(fit, coulomb_friction__F_c=nothing)) == {
+            ("bound", "coulomb_friction")}
 
 
 def test_a_shape_without_length_is_no_failure():

@@ -14,7 +14,6 @@ from eha_monitor.balances.answer import (
     far_from_config,
     first_answer,
     force_is_closed,
-    halves,
 )
 from eha_monitor.balances.baseline import baseline
 from eha_monitor.balances.course import TRAVEL
@@ -42,7 +41,13 @@ from eha_monitor.mismatch.locate import location as locate
 from eha_monitor.mismatch.locate.terms import BALANCES, missing_terms
 from eha_monitor.mismatch.name.before import FirstView, at_its_angle, informative
 from eha_monitor.mismatch.name.naming import Naming, beyond_form, name_effects, on_all_of
-from eha_monitor.mismatch.name.select import Unfollowed, credible, lacks, nominal_model
+from eha_monitor.mismatch.name.select import (
+    Unfollowed,
+    credible,
+    lack_of,
+    lacks,
+    nominal_model,
+)
 from eha_monitor.mismatch.name.unnamed import INTERMITTENT
 from eha_monitor.mismatch.show import held_out as show
 from eha_monitor.mismatch.show.changed import change_words, changed_between
@@ -129,12 +134,10 @@ def _diagnosed(recordings: list[Recording], settings: Settings, held_out: Record
     held, decision = resolved(recordings, settings)
     experiment = at_its_angle(experiment_of(recordings, held, held_out is None, without))
     far = hypothesis is None and far_from_config(first)
-    # Several recordings of such a machine say more together than a filter of one law can.
-    if far and (first.machine is not None or not credible(experiment, first.config_effects)):
+    if far and first.machine is not None:  # several say more together than a filter of one law can
         return by_first(first, started), None
     # What least squares say stands where no set of laws brings a filter near the recording.
-    stands = hypothesis is None and first is not None and not force_is_closed(first) and (
-        first.verdict != "unexplained" or halves(first))
+    stands = hypothesis is None and first is not None and (far or not force_is_closed(first))
     named, followed = followed_by(experiment, say, first, stands)
     if decision is not None and (not followed or (
             named is not None and named[1].unexplained > experiment.policy.rival)):
@@ -194,11 +197,15 @@ def followed_by(experiment: Experiment, say: Report, first: Diagnosis | None, ma
 
 
 def follows(naming: Naming) -> bool:
-    """Tell whether the model that was found follows the recording to the sensors' noise.
+    """Tell whether the model that was found follows the recording, and least squares cannot more.
 
-    It needs no unknown force, flow or speed that shows, and no least squares can explain more.
+    It needs no unknown force, flow or speed that shows, or lacks no more of what the nominal
+    model does than may be the form error of its laws.
     """
-    return not lacks(naming.experiment, naming.after)
+    experiment = naming.experiment
+    return not lacks(experiment, naming.after) or (
+        lack_of(experiment, naming.after) <= experiment.policy.law * lack_of(
+            experiment, naming.before))
 
 
 def named_in(experiment: Experiment, say: Report, first: Diagnosis | None = None,

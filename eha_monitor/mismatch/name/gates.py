@@ -48,10 +48,10 @@ def allowed_end(fit: Fit, f: Free, value: float) -> bool:
         return own.default is not None and not own.unit and (own.lower, own.upper) == (0.0, 1.0)
     if own.default is not None:
         return own.lower == 0.0
-    places = [other.place for other in fit.free if other.owner == f.owner
+    others = [other for other in fit.free if other.owner == f.owner and other.name != f.name
               and other.symbol in {p.name for p in entry.sizes}]
     return own.lower == own.neutral and not entry.contains and any(
-        fit.theta[place] != own.neutral for place in places)
+        not at_bound(other, float(fit.theta[other.place])) for other in others)
 
 
 def failures(experiment: Experiment, fit: Fit) -> list[Gate]:

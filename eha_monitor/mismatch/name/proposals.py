@@ -201,7 +201,7 @@ def proposals_of(found: list[Ranked], model: Ranked | None, refits: Refits,
     chosen: list[Ranked] = []
     for one in sorted(best_first(one for one in able if len(one.names) == size),
                       key=containing):
-        if not any(contained(other, one) for other in chosen):
+        if not any(contained(other, one, here) for other in chosen):
             chosen.append(one)
     chosen = best_first(chosen)
     # What is far off is not linear: a smaller set that promises most of it may reach all of it.
@@ -227,11 +227,14 @@ def containing(one: Ranked) -> int:
     return sum(len(CATALOGUE[name].contains) for name in one.names if name in CATALOGUE)
 
 
-def contained(simple: Ranked, other: Ranked) -> bool:
-    """Tell whether a set is another one with an effect in place of one that contains it."""
+def contained(simple: Ranked, other: Ranked, here: Names) -> bool:
+    """Tell whether a set is another one with an effect in place of one that contains it.
+
+    What the model at hand has needs no simpler law first.
+    """
     less, more = simple.names - other.names, other.names - simple.names
     return len(less) == len(more) == 1 and (name := next(iter(more))) in CATALOGUE \
-        and next(iter(less)) in CATALOGUE[name].contains
+        and name not in here and next(iter(less)) in CATALOGUE[name].contains
 
 
 def tight(one: Ranked, fit: Fit) -> bool:

@@ -268,8 +268,12 @@ def selected(experiment: Experiment, say=lambda text, share: None,
     sketch = sketch_of(experiment, start)
     if sketch is not None:
         say("searching a third of the samples", 0.1)
-        search.going_on_from(explored(
-            Search.at(sketch, with_unknowns(sketch, start), True, first_view, may_end), say))
+        found = explored(
+            Search.at(sketch, with_unknowns(sketch, start), True, first_view, may_end), say)
+        if may_end and lack_of(sketch, found.refits.fits[found.refits.best()]
+                               ) > experiment.policy.lacking:
+            raise Unfollowed
+        search.going_on_from(found)
     refits, views = explored(search, say).refits, search.views
     gated(experiment, refits)
     judged: dict = {}
@@ -534,10 +538,22 @@ def gated(experiment: Experiment, refits: Refits) -> None:
     """
     widened: set[str] = set()
     while True:
-        without_each(experiment, refits)
         best = refits.best()
         fit = refits.fits[best]
+        failed = failures(experiment, fit)
+        if failed:
+            refits.refused[best] = tuple(failed)
+            for name in dict.fromkeys(gate.what for gate in failed):
+                if best - {name} not in refits.fits:
+                    refits.add(experiment, best - {name}, settled(experiment, lesser(
+                        experiment, fit, name), worth=fit.log_likelihood - CLOSE))
+            continue
+        without_each(experiment, refits)
+        if refits.fits[refits.best()] is not fit:
+            continue
         ends = [f for f in ends_of_tolerance(fit) if f.name not in widened]
+        if not ends:
+            return
         for f in ends:
             widened.add(f.name)
             if best | {f.name} not in refits.fits:
@@ -545,16 +561,6 @@ def gated(experiment: Experiment, refits: Refits) -> None:
                              for one in fit.free)
                 refits.add(experiment, best | {f.name}, settled(experiment, replace(
                     fit, free=free, named=(*fit.named, f.name), converged=False)))
-        if ends:
-            continue
-        failed = failures(experiment, fit)
-        if not failed:
-            return
-        refits.refused[best] = tuple(failed)
-        for name in dict.fromkeys(gate.what for gate in failed):
-            if best - {name} not in refits.fits:
-                refits.add(experiment, best - {name}, settled(
-                    experiment, lesser(experiment, fit, name), worth=fit.log_likelihood - CLOSE))
 
 
 def within_reach(refits: Refits) -> list[Names]:
