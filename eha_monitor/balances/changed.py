@@ -115,7 +115,7 @@ def _in_words(moved: Moved, settings: Settings, oils: tuple[Stiffness, Stiffness
     rig, held = settings.rig, settings.effects.get(moved.effect, {}).get(moved.symbol, 0.0)
     pair = (moved.machine + held, moved.spread), (moved.here + held, moved.stddev)
     known = [one.modulus for one in oils]
-    if moved.name == "C_h" and all(POLICY.varied * stddev < value for value, stddev in known):
+    if moved.name == "C_h" and all(POLICY.sure(*one) for one in known):
         return Value(*known[0], "Pa"), Value(*known[1], "Pa"), "Pa"
     if moved.name == "C_h" and rig.volume_1 and min(moved.machine, moved.here) > 0.0:
         pair = tuple((rig.volume_1 / value, rig.volume_1 / value**2 * stddev)
@@ -194,7 +194,7 @@ def _health(machine: Machine, judged: Judged, stiffness: Stiffness, before: bool
         if value > 0.0 and stddev < value:  # else these recordings do not determine it
             found["B"] = Value(value, stddev, "N·s/m")
     modulus, stddev = (machine.stiffness if before else stiffness).modulus
-    if machine.policy.varied * stddev < modulus:
+    if machine.policy.sure(modulus, stddev):
         found["beta_e"] = Value(modulus, stddev, "Pa")
     return found
 

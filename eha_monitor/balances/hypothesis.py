@@ -3,7 +3,7 @@
 import numpy as np
 
 from eha_monitor.balances.candidates import Candidate
-from eha_monitor.balances.course import Course, has_flow, of_filled
+from eha_monitor.balances.course import Course
 from eha_monitor.estimation.modelled import contributions_along
 from eha_monitor.mismatch.diagnosis import Considered
 from eha_monitor.physics import signals as s
@@ -67,8 +67,8 @@ def _column(hypothesis: Hypothesis, values: dict[str, float], key: str, course: 
     c = _made(hypothesis, values, course.track(), course.dt) / values[key]
     if hypothesis.adds == "force":
         return c[:, s.FORCE]
-    if not has_flow(course, rig):
+    if not course.has_flow:
         return None
     if hypothesis.adds == "speed":
         return (rig.pump_displacement or 1.0) * c[:, s.SPEED]
-    return of_filled(c[:, s.FLOW_1], -c[:, s.FLOW_2] * rig.area_1 / rig.area_2, course, rig)
+    return course.of_filled(c[:, s.FLOW_1], -c[:, s.FLOW_2] * rig.area_1 / rig.area_2)

@@ -7,7 +7,7 @@ from functools import cached_property
 import numpy as np
 
 from eha_monitor.balances.candidates import Candidate
-from eha_monitor.balances.course import Course, pumped_side, slope
+from eha_monitor.balances.course import Course, slope
 from eha_monitor.balances.least_squares import independent, minimum_norm, signed_solution
 from eha_monitor.balances.policy import Policy
 from eha_monitor.settings.rig import Rig
@@ -213,7 +213,7 @@ def doubts_of(course: Course, rig: Rig, balance: str, whole: np.ndarray) -> list
         found.append(rig.tolerance.log_spread("area_2") * rig.area_2 * course.p2)
     if balance == "flow" and rig.area_2 != rig.area_1:
         found.append(rig.tolerance.log_spread("area_2") * np.where(
-            pumped_side(course, rig) < 0.0, whole, 0.0))
+            course.pumped_side < 0.0, whole, 0.0))
     return found
 
 
