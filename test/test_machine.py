@@ -141,7 +141,7 @@ def test_the_next_recording_is_judged(machine, settings, tmp_path):
     worn = stranger(21, dry=260.0, rise=0.0, damping=(1500.0, 1500.0), seconds=16.0)
     found = judge(kept, [course_of(worn, settings)], settings)
     assert not found.belongs
-    assert found.changed[0].effect in ("coulomb_friction", "presliding_friction")
+    assert found.changed[0].candidate.effect in ("coulomb_friction", "presliding_friction")
     assert found.changed[0].here == pytest.approx(260.0, rel=0.03)
     assert found.explained and found.balances[0].after < 0.5 * found.balances[0].error
 

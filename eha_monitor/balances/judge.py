@@ -32,7 +32,7 @@ class Moved:
 
     Attributes
     ----------
-    name, effect, balance, words, unit, symbol : of its candidate.
+    candidate : what it is.
     here, stddev : in the recording; ``machine``, ``spread`` over the machine's own.
     deviations : Student's t; ``limit`` beyond which it has changed.
     removed : by how much the change lowers the error, as a share of the signal.
@@ -40,11 +40,7 @@ class Moved:
     apart : deviation of the difference, which does not hold what both values share.
     """
 
-    name: str
-    effect: str
-    balance: str
-    words: str
-    unit: str
+    candidate: Candidate
     here: float
     stddev: float
     machine: float
@@ -53,7 +49,6 @@ class Moved:
     limit: float
     removed: float = 0.0
     rivals: tuple[str, ...] = ()
-    symbol: str = ""
     apart: float = np.nan
 
 
@@ -244,9 +239,8 @@ class _Beside:
         else:
             base, form = self.held.get(name, 0.0), forms.get(name, 0.0)
         spread = float(np.hypot(scatter.spread[i], form))
-        return Moved(name, c.effect, c.balance, c.words, c.unit, base + float(found.value[i]),
-                     float(np.hypot(found.stddev[i], spread)), base + scatter.mean[i], spread,
-                     float(t), limit, removed, rivals, c.symbol,
+        return Moved(c, base + float(found.value[i]), float(np.hypot(found.stddev[i], spread)),
+                     base + scatter.mean[i], spread, float(t), limit, removed, rivals,
                      float(np.hypot(found.stddev[i], scatter.spread[i])))
 
     def search(self) -> tuple[list[Moved], dict[str, float], bool, Moved | None]:
@@ -275,7 +269,7 @@ class _Beside:
             # do; which it is, what explains the recording; and whether it matters, what is named.
             # What is far and removes nothing is no physics: the balance's error says whether it
             # matters.
-            amount, gone = self.gone(left, scatter, now, {moved.name for moved in changes})
+            amount, gone = self.gone(left, scatter, now, {moved.candidate.name for moved in changes})
             shows = ties.largest(np.where(far > 1.0, gone, -np.inf))
             if not (far[shows] > 1.0 and gone[shows] > 0.0):
                 break
@@ -349,12 +343,13 @@ class _Beside:
         """Return what has changed in the balance, its constant load last, beside all else."""
         one, table, free = self.one, self.table, self.free
         changes, now, complete, largest = self.search()
-        now = self.at_best(now, {moved.name for moved in changes})
+        now = self.at_best(now, {moved.candidate.name for moved in changes})
         load, held = _load(machine, one, table, now, free), self.held
-        if load is not None and not any(moved.effect in OF_PLACE for moved in changes):
-            beside = replace(self, held=held | {load.name: load.machine}, free=[
-                name for name in free if name not in columns_of(load.name, table)])
-            held, free, now = beside.held, beside.free, now | {load.name: load.here}
+        if load is not None and not any(moved.candidate.effect in OF_PLACE for moved in changes):
+            name = load.candidate.name
+            beside = replace(self, held=held | {name: load.machine}, free=[
+                own for own in free if own not in columns_of(name, table)])
+            held, free, now = beside.held, beside.free, now | {name: load.here}
             changes.append(replace(load, removed=beside.error(held) - beside.error(now)))
         last = replace(self, held=held, free=free)
         held = with_oil(table, held, free, self.oil, self.policy)
@@ -452,7 +447,6 @@ def _load(machine: Machine, one: MachineBalance, table: Table, now: dict[str, fl
     limit = limit_of(runs, 1.0, policy.false)
     if not abs(t) > limit or not abs(here - mean) > policy.worse * table.size:
         return None
-    c = table.candidates[table.places[own[0]] - 1]
-    return Moved(load.name, c.effect, c.balance, c.words, c.unit, here,
-                 float(np.hypot(stddev, spread)), mean, spread, float(t), limit, 0.0,
-                 FORCE_OF_SENSORS, c.symbol)
+    c = replace(table.candidates[table.places[own[0]] - 1], name=load.name)
+    return Moved(c, here, float(np.hypot(stddev, spread)), mean, spread, float(t), limit, 0.0,
+                 FORCE_OF_SENSORS)
