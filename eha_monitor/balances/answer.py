@@ -9,9 +9,14 @@ import numpy as np
 from eha_monitor.balances import places
 from eha_monitor.balances.advice import advice_of
 from eha_monitor.balances.baseline import baseline
-from eha_monitor.balances.candidates import SIDES, Scale, balances_in
+from eha_monitor.balances.candidates import (
+    SIDES,
+    Scale,
+    balances_in,
+    candidate_of,
+    untested,
+)
 from eha_monitor.balances.course import Course, course_of, courses_of
-from eha_monitor.balances.hypothesis import candidate_of, untested
 from eha_monitor.balances.machine import Machine, machine_from, pressure_varied, rms
 from eha_monitor.balances.mean_pressure import leak_or_source
 from eha_monitor.balances.model import Model, of_machine, of_recordings, on_held_out

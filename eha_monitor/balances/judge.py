@@ -269,7 +269,8 @@ class _Beside:
             # do; which it is, what explains the recording; and whether it matters, what is named.
             # What is far and removes nothing is no physics: the balance's error says whether it
             # matters.
-            amount, gone = self.gone(left, scatter, now, {moved.candidate.name for moved in changes})
+            taken = {moved.candidate.name for moved in changes}
+            amount, gone = self.gone(left, scatter, now, taken)
             shows = ties.largest(np.where(far > 1.0, gone, -np.inf))
             if not (far[shows] > 1.0 and gone[shows] > 0.0):
                 break
