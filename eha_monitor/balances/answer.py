@@ -9,13 +9,7 @@ import numpy as np
 from eha_monitor.balances import places
 from eha_monitor.balances.advice import advice_of
 from eha_monitor.balances.baseline import baseline
-from eha_monitor.balances.candidates import (
-    SIDES,
-    Scale,
-    balances_in,
-    candidate_of,
-    untested,
-)
+from eha_monitor.balances.candidates import SIDES, Scale, balances_in, candidate_of
 from eha_monitor.balances.course import Course, course_of, courses_of
 from eha_monitor.balances.machine import Machine, machine_from, pressure_varied, rms
 from eha_monitor.balances.mean_pressure import leak_or_source
@@ -34,6 +28,7 @@ from eha_monitor.errors import InputError
 from eha_monitor.mismatch.diagnosis import (
     Agreement,
     Change,
+    Considered,
     Diagnosis,
     Fitted,
     Gate,
@@ -87,7 +82,9 @@ def answered(recordings: Sequence[Recording], settings: Settings, asked: Asked =
     if asked.hypothesis is not None:
         candidate = candidate_of(asked.hypothesis, rig) if len(courses) < policy.fewest else None
         own = () if candidate is None else (candidate,)
-        untestable = () if own else (untested(asked.hypothesis),)
+        untestable = () if own else (Considered(
+            asked.hypothesis.name, np.nan, (), "these recordings are judged by their balances, "
+            "which test what is proportional to one of its parameters, on one recording or two"),)
     if len(courses) >= policy.fewest:
         machine = machine_from(courses, rig, asked.vary, asked.without, policy)
         models = [of_machine(one, courses, rig, machine.scale, policy)

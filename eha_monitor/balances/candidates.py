@@ -22,7 +22,6 @@ from eha_monitor.balances.course import (
 )
 from eha_monitor.compiled import njit
 from eha_monitor.estimation.modelled import contributions_along
-from eha_monitor.mismatch.diagnosis import Considered
 from eha_monitor.physics import signals as s
 from eha_monitor.physics.contributions import N_EFFECTS, N_THETA, new_memory, slot_of
 from eha_monitor.physics.effects import NAMES
@@ -451,13 +450,6 @@ def candidate_of(hypothesis: Hypothesis, rig: Rig) -> Candidate | None:
                 lambda c, r, key=key: _column(hypothesis, start, key, c, r), symbol=key,
                 limit=max(abs(one.lower), abs(one.upper)))
     return None
-
-
-def untested(hypothesis: Hypothesis) -> Considered:
-    """Return why a hypothesis was not tested."""
-    return Considered(hypothesis.name, np.nan, (), "these recordings are judged by their "
-                      "balances, which test what is proportional to one of its parameters, on one "
-                      "recording or two")
 
 
 def _linear(hypothesis: Hypothesis, start: dict[str, float], key: str) -> bool:
