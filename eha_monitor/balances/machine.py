@@ -192,10 +192,9 @@ class Machine:
             "unexplained_share": {one.balance: one.unexplained for one in self.balances},
             "repeating_share": {one.balance: one.repeats for one in self.balances},
             "load_varied": self.load_varied, "turns": self.scale.turns, "pieces": self.pieces,
-            "odd": [asdict(one) for one in self.odd],
-            "stiffness": asdict(self.stiffness), "areas": self.areas,
-            "scale": asdict(self.scale), "policy": self.policy.to_dict(),
-            "balances": [asdict(one) for one in self.balances]})
+            "odd": self.odd,
+            "stiffness": self.stiffness, "areas": self.areas, "scale": self.scale,
+            "policy": self.policy, "balances": self.balances})
 
 
 def rms(values: Sequence[float]) -> float:
