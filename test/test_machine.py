@@ -9,7 +9,7 @@ import pytest
 from machine_tools import stranger, stranger_settings
 from rig_tools import MULTISINE, REST, real, simulated
 
-from eha_monitor.balances.alone import alone, probability_of
+from eha_monitor.balances.alone import alone
 from eha_monitor.balances.candidates import Scale, candidates_of, stop, taken_up
 from eha_monitor.balances.changed import against
 from eha_monitor.balances.course import course_of
@@ -230,7 +230,7 @@ def test_one_recording_alone(recordings, settings):
     assert dry[0].value == pytest.approx(180.0, rel=0.05)
     assert found.error < 0.5 * found.nominal + 0.05
     assert table.effective < table.n
-    assert probability_of(1.0, POLICY) == pytest.approx(POLICY.certain, abs=0.01)
+    assert POLICY.probability(1.0, np.inf) == pytest.approx(POLICY.certain, abs=0.01)
 
 
 def test_the_command_writes_and_reads_a_machine(recordings, settings, tmp_path, monkeypatch):
