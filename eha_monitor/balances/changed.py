@@ -5,7 +5,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy import stats
 
 from eha_monitor.balances.answer import overlay_of, place_of, still
 from eha_monitor.balances.candidates import SIDES
@@ -16,6 +15,7 @@ from eha_monitor.balances.model import Model, Term, of_judged
 from eha_monitor.balances.named import size_of
 from eha_monitor.balances.parameters import Stiffness, stiffness_of
 from eha_monitor.balances.policy import POLICY
+from eha_monitor.balances.scatter import limit_of
 from eha_monitor.mismatch.diagnosis import (
     Change,
     Diagnosis,
@@ -155,7 +155,7 @@ def _oil(machine: Machine, stiffness: Stiffness) -> Change | None:
     if count < machine.policy.fewest or not np.isfinite(stiffness.stddev):
         return None
     spread = np.hypot(of.between, of.stddev * np.sqrt(count)) * np.sqrt(1.0 + 1.0 / count)
-    limit = float(stats.t.ppf(1.0 - 0.5 * machine.policy.false, count - 1))
+    limit = limit_of(count, 1.0, machine.policy.false)
     if not abs(stiffness.value - of.value) > np.hypot(
             limit * spread, machine.policy.varied * stiffness.stddev):
         return None
