@@ -10,13 +10,14 @@ from eha_monitor import ties
 from eha_monitor.balances.alone import covariance_by_chance, form_and_doubts
 from eha_monitor.balances.candidates import Candidate, balances_in, candidates_of
 from eha_monitor.balances.course import Course
+from eha_monitor.balances.least_squares import weights_of
 from eha_monitor.balances.machine import Machine, MachineBalance, oil_of, usual_of
 from eha_monitor.balances.model import LOAD
 from eha_monitor.balances.named import FORCE_OF_SENSORS
 from eha_monitor.balances.policy import POLICY, Policy
 from eha_monitor.balances.scatter import Amplitudes, Scatter, amplitudes_of, limit_of, ridge_of
 from eha_monitor.balances.table import Table, pooled_table, tables_of
-from eha_monitor.balances.together import minimum_norms, setting_of, unseen
+from eha_monitor.balances.together import setting_of, unseen
 from eha_monitor.settings.monitor import Settings
 
 MOST_CHANGES = 3  # that are looked for in one balance
@@ -220,8 +221,17 @@ class _Beside:
 
     def at_best(self, weights: dict[str, float], but: Iterable[str] = ()) -> dict[str, float]:
         """Return parameters with those of the oil, ``but`` some, at what fits best."""
-        return with_oil(self.table, weights, self.free, {
-            name: spread for name, spread in self.oil.items() if name not in but}, self.policy)
+        oil = {name: spread for name, spread in self.oil.items() if name not in but}
+        if not oil:
+            return weights
+        table, first = self.table, len(self.free)
+        places = [table.places[name] for name in (*self.free, *oil)]
+        gram = table.gram[np.ix_(places, places)]
+        gram += np.diag([*np.zeros(first), *ridge_of(table, oil)])
+        moved = weights_of(gram, table.gram[places] @ table.mixture(table.gram, (), weights))
+        most = self.policy.varied * np.fromiter(oil.values(), float, len(oil))
+        return weights | {name: weights.get(name, 0.0) + float(step) for name, step in zip(
+            oil, np.clip(moved[first:], -most, most), strict=True)}
 
     def moved(self, scatter: Scatter, found: Amplitudes, i: int, t: float, limit: float,
               removed: float = 0.0, rivals: tuple[str, ...] = ()) -> Moved:
@@ -353,7 +363,7 @@ class _Beside:
             held, free, now = beside.held, beside.free, now | {name: load.here}
             changes.append(replace(load, removed=beside.error(held) - beside.error(now)))
         last = replace(self, held=held, free=free)
-        held = with_oil(table, held, free, self.oil, self.policy)
+        held = last.at_best(held)
         return JudgedBalance(one.balance, table, held, now, last.error(held), last.error(now),
                              max(one.held), tuple(changes), complete, largest, one.size,
                              tuple(free))
@@ -390,21 +400,6 @@ def is_loud(error: float, usual: float, size: float, table: Table) -> bool:
         in a quiet motion the same newtons are a larger share.
     """
     return error > ERROR * max(usual * max(size / table.size, 1.0), table.floor / table.size)
-
-
-def with_oil(table: Table, weights: dict[str, float], free: Sequence[str],
-             oil: dict[str, float], policy: Policy) -> dict[str, float]:
-    """Return parameters with those of the oil moved to what fits best, within their spread."""
-    if not oil:
-        return weights
-    places = [table.places[name] for name in (*free, *oil)]
-    ridge = np.diag([*np.zeros(len(free)), *ridge_of(table, oil)])
-    side = table.gram[places] @ table.mixture(table.gram, (), weights)
-    moved = minimum_norms(table.gram[np.ix_(places, places)] + ridge,
-                          side[:, None])[len(free) :, 0]
-    most = policy.varied * np.fromiter(oil.values(), float, len(oil))
-    return weights | {name: weights.get(name, 0.0) + float(step)
-                      for name, step in zip(oil, np.clip(moved, -most, most), strict=True)}
 
 
 def columns_of(name: str, table: Table) -> list[str]:

@@ -55,7 +55,12 @@ def signed_solution(gram: np.ndarray, side: np.ndarray, signs: np.ndarray) -> np
 
 
 def minimum_norm(gram: np.ndarray, side: np.ndarray) -> np.ndarray:
-    """Return the weights of the normal equations; none along directions without data."""
+    """Return the weights of the normal equations; none along directions without data.
+
+    Parameters
+    ----------
+    side : (k,), or (k, s) for several right sides.
+    """
     if not len(side):
         return side.copy()
     try:
@@ -64,9 +69,13 @@ def minimum_norm(gram: np.ndarray, side: np.ndarray) -> np.ndarray:
             return np.linalg.solve(gram, side)
     except np.linalg.LinAlgError:
         pass
-    values, vectors = np.linalg.eigh(gram)
-    kept = values > NULL * values[-1]
-    return vectors[:, kept] @ ((vectors[:, kept].T @ side) / values[kept])
+    return np.linalg.lstsq(gram, side, rcond=NULL)[0]
+
+
+def weights_of(gram: np.ndarray, side: np.ndarray) -> np.ndarray:
+    """Return :func:`minimum_norm` whatever the columns' units."""
+    size = np.sqrt(np.maximum(np.diag(gram), 1e-300))
+    return (minimum_norm(gram / np.outer(size, size), (side.T / size).T).T / size).T
 
 
 def inverse_of(gram: np.ndarray) -> np.ndarray:

@@ -14,9 +14,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import stdtrit
 
+from eha_monitor.balances.least_squares import weights_of
 from eha_monitor.balances.policy import Policy
 from eha_monitor.balances.table import Table
-from eha_monitor.balances.together import minimum_norms, without
+from eha_monitor.balances.together import without
 
 NOTHING: Mapping[str, float] = {}
 ANSWERS = 0.01  # of the usual power: a recording that answers less says nothing of a term
@@ -60,7 +61,7 @@ class Amplitudes:
             self.value * self.power)[own]
         if i is not None and not (np.isfinite(inner).all() and inner[0, 0] > 0.0):
             return float(self.value[i] - mean), -np.inf
-        w = minimum_norms(inner, side[:, None])[:, 0]
+        w = weights_of(inner, side)
         limit = most * np.array([oil[self.names[j]] for j in more])
         w[len(own) - len(more) :] = np.clip(w[len(own) - len(more) :], -limit, limit)
         if i is not None:

@@ -8,7 +8,7 @@ import numpy as np
 
 from eha_monitor.balances.candidates import Candidate
 from eha_monitor.balances.course import Course, slope
-from eha_monitor.balances.least_squares import independent, minimum_norm, signed_solution
+from eha_monitor.balances.least_squares import independent, signed_solution, weights_of
 from eha_monitor.balances.policy import Policy
 from eha_monitor.settings.rig import Rig
 
@@ -109,9 +109,7 @@ class Table:
     @cached_property
     def full(self) -> tuple[float, float]:
         """RMS of what all candidates together leave, and how many of its samples count as one."""
-        products = self.gram[1:, 1:]
-        size = np.sqrt(np.maximum(np.diag(products), 1e-300))
-        w = minimum_norm(products / np.outer(size, size), self.gram[1:, 0] / size) / size
+        w = weights_of(self.gram[1:, 1:], self.gram[1:, 0])
         left = np.where(self.good, self.rows[:, 0] - self.rows[:, 1:] @ w, np.nan)
         return float(np.sqrt(np.nanmean(left**2))), independent(left)
 

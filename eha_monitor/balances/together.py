@@ -19,8 +19,8 @@ from eha_monitor.balances.candidates import founded
 from eha_monitor.balances.least_squares import (
     independent,
     inverse_of,
-    minimum_norm,
     signed_solution,
+    weights_of,
 )
 from eha_monitor.balances.policy import Policy
 from eha_monitor.balances.table import Table
@@ -342,21 +342,8 @@ def without(gram: np.ndarray, kept: list[int], out: list[int],
         return inner
     across = gram[np.ix_(out, kept)]
     own = gram[np.ix_(out, out)]
-    return inner - across.T @ minimum_norms(
+    return inner - across.T @ weights_of(
         own if ridge is None else own + np.diag(ridge[out]), across)
-
-
-def minimum_norms(gram: np.ndarray, sides: np.ndarray) -> np.ndarray:
-    """Return :func:`minimum_norm` for several sides, (k, s), whatever the columns' units."""
-    size = np.sqrt(np.maximum(np.diag(gram), 1e-300))
-    scaled, sides = gram / np.outer(size, size), sides / size[:, None]
-    try:
-        factor = np.linalg.cholesky(scaled)
-        if np.diag(factor).min() > 1e-4:
-            return np.linalg.solve(scaled, sides) / size[:, None]
-    except np.linalg.LinAlgError:
-        pass
-    return np.column_stack([minimum_norm(scaled, side) for side in sides.T]) / size[:, None]
 
 
 def setting_of(table: Table, shared: list[int], settings: list[int], w: np.ndarray
@@ -366,7 +353,7 @@ def setting_of(table: Table, shared: list[int], settings: list[int], w: np.ndarr
         return np.zeros(0), np.zeros(0)
     mixture = _mixture(table, shared, w)
     inner = table.gram[np.ix_(settings, settings)]
-    t = minimum_norms(inner, (table.gram[settings] @ mixture)[:, None])[:, 0]
+    t = weights_of(inner, table.gram[settings] @ mixture)
     mixture[settings] = -t
     left = np.where(table.good, table.rows @ mixture, np.nan)
     return t, np.sqrt(np.diag(inverse_of(inner)) * float(np.nanmean(left**2)) * independent(left))
@@ -394,6 +381,6 @@ def crosswise(table: Table, fit: np.ndarray, judge: np.ndarray, shared: list[int
     mixture = _mixture(table, shared, w)
     if settings:
         part = fit + SOFT * judge
-        mixture[settings] = -minimum_norms(part[np.ix_(settings, settings)],
-                                           (part[settings] @ mixture)[:, None])[:, 0]
+        mixture[settings] = -weights_of(part[np.ix_(settings, settings)],
+                                        part[settings] @ mixture)
     return mixture
