@@ -11,6 +11,7 @@ import re
 import stat
 import tempfile
 from collections.abc import Callable, Iterable
+from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import Any
 
@@ -65,13 +66,18 @@ def write_json(path: str | Path, tree: dict) -> None:
 
 
 def finite(tree: Any) -> Any:
-    """Return the tree in plain types, with null for every number that is not finite."""
+    """Return the tree in plain types, with null for every number that is not finite.
+
+    A record becomes a mapping of its fields, an array lists.
+    """
+    if is_dataclass(tree):
+        tree = {one.name: getattr(tree, one.name) for one in fields(tree)}
     if isinstance(tree, dict):
         return {str(key): finite(value) for key, value in tree.items()}
     if isinstance(tree, (list, tuple)):
         return [finite(value) for value in tree]
-    if getattr(tree, "ndim", None) == 0:  # a number of numpy's
-        tree = tree.item()
+    if hasattr(tree, "tolist"):  # numpy's
+        return finite(tree.tolist())
     if isinstance(tree, float) and not math.isfinite(tree):
         return None
     return tree

@@ -9,7 +9,7 @@ import pytest
 from machine_tools import stranger, stranger_settings
 from rig_tools import MULTISINE, REST, real, simulated
 
-from eha_monitor.balances.alone import alone, probability_of
+from eha_monitor.balances.alone import alone
 from eha_monitor.balances.candidates import Scale, candidates_of, stop, taken_up
 from eha_monitor.balances.changed import against
 from eha_monitor.balances.course import course_of
@@ -141,7 +141,7 @@ def test_the_next_recording_is_judged(machine, settings, tmp_path):
     worn = stranger(21, dry=260.0, rise=0.0, damping=(1500.0, 1500.0), seconds=16.0)
     found = judge(kept, [course_of(worn, settings)], settings)
     assert not found.belongs
-    assert found.changed[0].effect in ("coulomb_friction", "presliding_friction")
+    assert found.changed[0].candidate.effect in ("coulomb_friction", "presliding_friction")
     assert found.changed[0].here == pytest.approx(260.0, rel=0.03)
     assert found.explained and found.balances[0].after < 0.5 * found.balances[0].error
 
@@ -230,7 +230,7 @@ def test_one_recording_alone(recordings, settings):
     assert dry[0].value == pytest.approx(180.0, rel=0.05)
     assert found.error < 0.5 * found.nominal + 0.05
     assert table.effective < table.n
-    assert probability_of(1.0, POLICY) == pytest.approx(POLICY.certain, abs=0.01)
+    assert POLICY.probability(1.0, np.inf) == pytest.approx(POLICY.certain, abs=0.01)
 
 
 def test_the_command_writes_and_reads_a_machine(recordings, settings, tmp_path, monkeypatch):

@@ -5,8 +5,8 @@ import pytest
 from rig_tools import BETA, MULTISINE, B, settings, simulated
 
 from eha_monitor.errors import InputError
+from eha_monitor.estimation.inputs import REST_S, resting
 from eha_monitor.estimation.pipeline import estimate
-from eha_monitor.estimation.rest import REST_S, resting
 from eha_monitor.estimation.results import NoiseEstimate
 from eha_monitor.live.estimator import LiveEstimator
 from eha_monitor.mismatch.compare.compared import compared

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from eha_monitor.concealed.cases import Case
-from eha_monitor.prove.files import read_json
+from eha_monitor.prove.children import read_json
 from eha_monitor.prove.trial import Question, Trial
 
 

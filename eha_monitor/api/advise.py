@@ -168,15 +168,15 @@ class Advice(Record, Found):
         return finite({
             "schema": SCHEMA, "bag": ", ".join(self.bags), "named": self.named,
             "advice": self.sentences,
-            "parameters": [asdict(one) for one in self.known],
+            "parameters": self.known,
             "plateaus": self.plateaus,
-            "confusions": [asdict(one) for one in self.confusions],
-            "visible_from": [asdict(one) for one in self.detection_limits],
+            "confusions": self.confusions,
+            "visible_from": self.detection_limits,
             "groups": self.groups,
-            "doubts": [asdict(one) for one in self.doubts],
+            "doubts": self.doubts,
             "motion": shown,
             "considered": self._considered(),
-            "checks": [asdict(one) for one in self.checks],
+            "checks": self.checks,
             "channels": finding_tree(self.channels)})
 
     def to_frame(self, table: str = "visible_from") -> "pandas.DataFrame":

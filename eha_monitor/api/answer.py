@@ -1,7 +1,7 @@
 """What ``estimate`` answers: the alarms of a recording, and the JSON of the contract."""
 
 import math
-from dataclasses import asdict, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -86,20 +86,19 @@ def answer(found: Estimate, alarms: tuple[Alarm, ...], history: tuple[Alarm, ...
         "parameters": {name: {**_parameter(p), "by": found.model.origin(name),
                               "in_doubt": found.model.in_doubt(name)}
                        for name, p in found.parameters.items()},
-        "alarms": [asdict(alarm) for alarm in alarms],
-        "model": asdict(found.model),
+        "alarms": alarms,
+        "model": found.model,
         "stages": {stage.stage: _stage(stage) for stage in (found.stage_one, found.stage_two)},
         "joint": _joint(found),
         "least_squares": [{"time_s": one.time_s, "parameters": {
             name: _parameter(p) for name, p in one.parameters.items()}} for one in found.beside],
-        "observability": None if observable is None else [
-            asdict(row) for row in observable.rows],
-        "noise": {name: asdict(level) for name, level in found.noise.items()},
+        "observability": None if observable is None else observable.rows,
+        "noise": found.noise,
         "channel_samples": {name: sum(int(np.isfinite(rows).sum())
                                       for _, _, (rows,) in blocks(values))
                             for name, values in recording.channels.items()},
-        "events": [asdict(event) for event in found.events],
-        "alarm_history": [asdict(alarm) for alarm in history],
+        "events": found.events,
+        "alarm_history": history,
         "losses": list(recording.losses),
         "warnings": list(found.warnings),
     }
@@ -131,12 +130,12 @@ def _parameter(p: ParameterEstimate) -> dict:
 
 def _stage(stage: StageResult) -> dict:
     return {"parameter": stage.estimate.name, **_parameter(stage.estimate),
-            "consistency": asdict(stage.consistency) if stage.consistency else None}
+            "consistency": stage.consistency}
 
 
 def _joint(found: Estimate) -> dict | None:
     if found.joint is None:
         return None
     return {"parameters": {n: _parameter(p) for n, p in found.joint.parameters.items()},
-            "correlation": np.asarray(found.joint.correlation).tolist(),
+            "correlation": found.joint.correlation,
             "message": found.joint.message}

@@ -404,6 +404,6 @@ def _hypothesis(given: Any) -> Hypothesis | None:
 
 
 def _change(change: Change) -> dict[str, Any]:
-    return finite(asdict(change)) | {
+    return finite(change) | {
         "reference": change.reference.value, "reference_stddev": change.reference.stddev,
         "now": change.now.value, "now_stddev": change.now.stddev}

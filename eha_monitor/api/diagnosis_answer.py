@@ -1,12 +1,11 @@
 """What ``diagnose`` answers: the JSON of the contract, and the config with the named physics."""
 
 import math
-from dataclasses import asdict
 from pathlib import Path
 from textwrap import wrap
 
 from eha_monitor import __version__
-from eha_monitor.mismatch.diagnosis import Change, Diagnosis, LearnedTerm, NamedEffect, Value
+from eha_monitor.mismatch.diagnosis import Change, Diagnosis, LearnedTerm, Value
 from eha_monitor.output import finite
 from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.quantity import NOTE, with_uncertainty
@@ -20,6 +19,10 @@ from eha_monitor.units import LARGEST
 SCHEMA = "eha_monitor/diagnosis/1"
 # Estimated parameter -> key of the rig that holds it.
 RIG_KEYS = {"B": "viscous_damping", "beta_e": "bulk_modulus"}
+# Keys of the answer that are fields of the record.
+AS_THEY_ARE = ("rig_data", "rig_within", "location", "effects", "advice", "message", "bags",
+               "health", "remarks", "agreement", "considered", "curves", "references",
+               "config_effects", "gates", "policy", "named_on", "duration_s", "wall_s")
 _WIDTH = 95  # of the head of a written config
 
 
@@ -31,40 +34,17 @@ def answer(found: Diagnosis) -> dict:
         "verdict": found.verdict,
         "probability": {key: found.probability.get(key)
                         for key in ("consistent", "unexplained")},
-        "rig_data": [asdict(finding) for finding in found.rig_data],
-        "rig_within": [asdict(finding) for finding in found.rig_within],
-        "location": {"balance": found.location.balance, "regime": found.location.regime,
-                     "intervals_s": found.location.intervals_s},
-        "effects": [_effect(effect) for effect in found.effects],
-        "parameters": {"before": _values(found.before), "after": _values(found.after)},
-        "fit": {"data": found.data,
-                "signals": {name: asdict(fit) for name, fit in found.signals.items()}},
-        "advice": found.advice,
-        "message": found.message,
-        "bags": found.bags,
-        "health": found.health,
-        "remarks": found.remarks,
-        "agreement": [{"part": one.part, "before": _values(one.before),
-                       "after": _values(one.after)} for one in found.agreement],
-        "considered": [asdict(one) for one in found.considered],
-        "curves": [{**asdict(curve), **{name: getattr(curve, name).tolist() for name in
-                                        ("x", "measured", "spread", "modelled")}}
-                   for curve in found.curves],
+        **{key: getattr(found, key) for key in AS_THEY_ARE},
+        "parameters": {"before": found.before, "after": found.after},
+        "fit": {"data": found.data, "signals": found.signals},
         "learned": [_learned(term) for term in found.learned],
-        "references": found.references,
         "changes": [_change(one) for one in found.changes],
-        "config_effects": found.config_effects,
         # Probabilities took their place; programs that read them find the keys.
         "threshold": {"log_units": None, "calibrated": False},
         "explained": None,
-        "gates": [asdict(gate) for gate in found.gates],
-        "policy": found.policy,
         "baseline": [one.to_dict() for one in found.baselines],
         "pieces": [{"bag": piece.bag, "start_s": piece.start_s, "stop_s": piece.stop_s,
-                    "parameters": _values(piece.values)} for piece in found.pieces],
-        "named_on": [asdict(one) for one in found.named_on],
-        "duration_s": found.duration_s,
-        "wall_s": found.wall_s,
+                    "parameters": piece.values} for piece in found.pieces],
     } | ({"machine": found.machine.to_dict()} if found.machine is not None else {}))
 
 
@@ -85,15 +65,6 @@ def refusal(bags: tuple[Path, ...], message: str, channels: list[dict]) -> dict:
         "message": message,
         "channels": channels,
     }
-
-
-def _effect(effect: NamedEffect) -> dict:
-    return {"name": effect.name, "balance": effect.balance, "statement": effect.statement,
-            "parameters": _values(effect.parameters), "probability": effect.probability,
-            "log_evidence": effect.log_evidence, "intervals_s": effect.intervals_s,
-            "indistinguishable_from": effect.indistinguishable_from, "size": effect.size,
-            "equation": effect.equation, "rig_check": effect.rig_check,
-            "effective_samples": effect.effective_samples, "stability": effect.stability}
 
 
 def _change(change: Change) -> dict:
@@ -117,11 +88,7 @@ def _learned(term: LearnedTerm) -> dict:
             "against_unit": term.against_unit, "log_evidence": term.gained,
             "alternatives_behind": [behind for _, behind in term.rivals],
             "covered": [float(term.x[0]), float(term.x[-1])], "entry": term.entry,
-            **{name: getattr(term, name).tolist() for name in arrays}}
-
-
-def _values(values: dict[str, Value]) -> dict:
-    return {name: asdict(value) for name, value in values.items()}
+            **{name: getattr(term, name) for name in arrays}}
 
 
 def completed(found: Diagnosis, settings: Settings) -> tuple[Settings, list[str], list[str]]:

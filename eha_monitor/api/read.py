@@ -2,7 +2,6 @@
 
 import os
 from collections.abc import Sequence
-from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -88,7 +87,7 @@ def checked(recordings: Sequence[Inner], settings: Settings) -> tuple[ChannelFin
 
 def finding_tree(findings: Sequence[ChannelFinding]) -> list[dict[str, Any]]:
     """Return the findings as JSON's plain types."""
-    return [finite(asdict(finding)) for finding in findings]
+    return finite(list(findings))
 
 
 def corrected_config(findings: Sequence[ChannelFinding], settings: Settings,

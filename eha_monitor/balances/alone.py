@@ -13,10 +13,9 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import ndtr
 
 from eha_monitor.balances.candidates import Candidate, founded
-from eha_monitor.balances.least_squares import inverse_of, signed_solution
+from eha_monitor.balances.least_squares import from_absent, inverse_of, signed_solution
 from eha_monitor.balances.policy import Policy
 from eha_monitor.balances.table import Table
 from eha_monitor.quantity import quantity, share
@@ -36,8 +35,8 @@ class Name:
     frequency : share of the halves in which the effect, or one of its family, came up.
     probability : calibrated and capped.
     gained : log units that the balance loses without it.
-    named : it is an answer, as far from absent as :func:`owed` says; else it corrects the form,
-        or belongs to every model.
+    named : it is an answer, as far from absent as :attr:`Policy.owed` says; else it corrects the
+        form, or belongs to every model.
     rivals : effects that fit as well in its place.
     """
 
@@ -140,8 +139,8 @@ class _Choice:
                       if not one.always else 0.0)
             found.append(Name(
                 name, one.effect, value, total, frequency,
-                min(probability_of(frequency, policy), again(apart, policy)),
-                gained, name in named and apart > owed(policy),
+                policy.probability(frequency, apart),
+                gained, name in named and apart > policy.owed,
                 tuple(e for e in rivals.get(one.kind, ()) if e not in {
                     self.of[other].effect for other in kept} and one.kind in families)))
         return Alone(tuple(found), tuple(refused), table.effective, error, nominal)
@@ -213,10 +212,10 @@ class _Choice:
                 if abs(value) > self.table.reach[self.table.places[name]]:
                     out = Refused("bound", one.effect, f"{one.words} of {shown} is beyond what "
                                   "this rig can have")
-                elif abs(value) < self.policy.varied * doubt:
+                elif not self.policy.sure(value, doubt):
                     out = Refused("member", one.effect, f"{one.words} of {shown} may be channels "
                                   "that are half a sample late, or areas within their tolerance")
-                elif abs(value) < self.policy.varied * stddev and self.unseen(
+                elif not self.policy.sure(value, stddev) and self.unseen(
                         rest) < self.unseen(kept) * np.exp(self.policy.alone):
                     out = Refused("member", one.effect, f"{one.words} of {shown} is not "
                                   f"{self.policy.varied:g} deviations from absent, and the model "
@@ -346,48 +345,6 @@ def movement(table: Table, names: Sequence[str]) -> np.ndarray:
     places = [table.places[name] for name in names]
     return inverse_of(table.gram[np.ix_(places, places)]) @ (
         table.rows[table.good][:, places].T @ table.doubts[table.good])
-
-
-def probability_of(frequency: float, policy: Policy) -> float:
-    """Return how surely a name of this frequency comes back on another day."""
-    half = 0.5 / policy.halves
-    odds = np.log((frequency + half) / (1.0 - frequency + half))
-    return float(min(1.0 / (1.0 + np.exp(-policy.slope * odds)), policy.certain))
-
-
-def from_absent(values: Sequence[float], covariance: np.ndarray, which: Sequence[bool]) -> float:
-    """Return how far some terms together are from absent, in standard deviations.
-
-    Two shapes of one seal's friction share it as chance has it: neither may be sure where their
-    sum is.
-
-    Parameters
-    ----------
-    values, covariance, which : (k,) SI; (k, k); (k,) the terms of a family.
-    """
-    known = np.isfinite(np.diag(covariance))  # of what no recording shows nothing is apart
-    own = np.flatnonzero(np.asarray(which, dtype=bool) & known)
-    w = np.asarray(values)[own]
-    return float(np.sqrt(max(w @ inverse_of(covariance[np.ix_(own, own)]) @ w, 0.0)))
-
-
-def owed(policy: Policy) -> float:
-    """Return how far from absent a name is, in standard deviations.
-
-    It is of the machine, so it holds on another day: what is surely absent there, ``varied``
-    deviations of the difference of two days, is no name here.
-    """
-    return float(np.sqrt(2.0) * policy.varied)
-
-
-def again(apart: float, policy: Policy) -> float:
-    """Return how probable it is that another day's value is surely there, by itself.
-
-    Parameters
-    ----------
-    apart : deviations of this day's value from absent; another day's differs by both days' own.
-    """
-    return float(ndtr((apart - policy.varied) / np.sqrt(2.0)))
 
 
 def chosen_on(table: Table, half: tuple[np.ndarray, np.ndarray], always: Sequence[str],

@@ -9,9 +9,8 @@ import numpy as np
 from eha_monitor.balances import places
 from eha_monitor.balances.advice import advice_of
 from eha_monitor.balances.baseline import baseline
-from eha_monitor.balances.candidates import SIDES, Scale, balances_in
+from eha_monitor.balances.candidates import SIDES, Scale, balances_in, candidate_of
 from eha_monitor.balances.course import Course, course_of, courses_of
-from eha_monitor.balances.hypothesis import candidate_of, untested
 from eha_monitor.balances.machine import Machine, machine_from, pressure_varied, rms
 from eha_monitor.balances.mean_pressure import leak_or_source
 from eha_monitor.balances.model import Model, of_machine, of_recordings, on_held_out
@@ -29,6 +28,7 @@ from eha_monitor.errors import InputError
 from eha_monitor.mismatch.diagnosis import (
     Agreement,
     Change,
+    Considered,
     Diagnosis,
     Fitted,
     Gate,
@@ -82,7 +82,9 @@ def answered(recordings: Sequence[Recording], settings: Settings, asked: Asked =
     if asked.hypothesis is not None:
         candidate = candidate_of(asked.hypothesis, rig) if len(courses) < policy.fewest else None
         own = () if candidate is None else (candidate,)
-        untestable = () if own else (untested(asked.hypothesis),)
+        untestable = () if own else (Considered(
+            asked.hypothesis.name, np.nan, (), "these recordings are judged by their balances, "
+            "which test what is proportional to one of its parameters, on one recording or two"),)
     if len(courses) >= policy.fewest:
         machine = machine_from(courses, rig, asked.vary, asked.without, policy)
         models = [of_machine(one, courses, rig, machine.scale, policy)
@@ -148,8 +150,8 @@ def force_is_closed(found: Diagnosis, policy: Policy = POLICY) -> bool:
 
 
 def leaves_more(before: float, after: float, policy: Policy) -> bool:
-    """Tell whether a model leaves ``near`` of a balance open, and another less than half of it."""
-    return before > max(policy.near, 2.0 * after)
+    """Tell whether a model leaves ``near`` of a balance, another less than ``open`` of that."""
+    return before > policy.near and after < policy.open * before
 
 
 def still(recordings: Sequence[Recording], courses: Sequence[Course], baselines: tuple,
@@ -246,19 +248,21 @@ def only_load(model: Model, policy: Policy) -> bool:
             and model.error <= policy.open * model.nominal_error)
 
 
-def halves(found: Diagnosis) -> bool:
-    """Tell whether terms, named or not, halve what the config leaves of a balance."""
-    return any(2.0 * fit.after_rms < fit.before_rms for fit in found.signals.values())
+def halves(found: Diagnosis, policy: Policy = POLICY) -> bool:
+    """Tell whether terms, named or not, leave less than ``open`` of what the config leaves."""
+    return any(fit.after_rms < policy.open * fit.before_rms for fit in found.signals.values())
 
 
 def agrees(model: Model, policy: Policy) -> bool:
     """Tell whether the config's own model explains a balance.
 
-    It leaves less than ``near``, and less than twice what a model with more terms does, or little.
+    It leaves less than ``near``, and a model with more terms no less than ``open`` of that; or
+    little.
     """
     floor = policy.clean * model.floor / model.size
     return model.nominal_error <= max(floor, policy.small) or (
-        model.nominal_error <= min(policy.near, 2.0 * model.error))
+        model.nominal_error <= policy.near
+        and model.error >= policy.open * model.nominal_error)
 
 
 def known_of(models: Sequence[Model], rig: Rig, policy: Policy, stiffness: Stiffness,
@@ -280,7 +284,7 @@ def known_of(models: Sequence[Model], rig: Rig, policy: Policy, stiffness: Stiff
                 area = rig.tolerance.log_spread("area_1") if rig.area_1 else 0.0
                 found["B"] = Value(value, float(np.hypot(stddev, area * value)), "N·s/m")
     modulus, stddev = stiffness.modulus
-    if policy.varied * stddev < modulus:
+    if policy.sure(modulus, stddev):
         volume = rig.tolerance.log_spread("volume_1")
         found["beta_e"] = Value(modulus, float(np.hypot(stddev, volume * modulus)), "Pa")
     return found

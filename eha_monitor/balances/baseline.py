@@ -199,7 +199,7 @@ def flow_columns(course: Course, rig: Rig) -> tuple | None:
     return rig.area_1 * course.v, (
         ("D_p", "m³/rad", "pump displacement", 1, course.omega),
         ("C_L", "m³/(s·Pa)", "leakage", 1, course.p2 - course.p1),
-        ("C_h", "m³/Pa", "compliance of a chamber", 1, -pressure_rate(course, rig)))
+        ("C_h", "m³/Pa", "compliance of a chamber", 1, -pressure_rate(course)))
 
 
 def fitted(course: Course, counted: np.ndarray, y: np.ndarray, columns: tuple,

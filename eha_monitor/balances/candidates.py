@@ -18,15 +18,16 @@ from eha_monitor.balances.course import (
     COMMANDED,
     STANDING,
     Course,
-    direction_of,
-    has_flow,
-    of_both,
-    of_filled,
-    pumped_side,
     slope,
 )
 from eha_monitor.compiled import njit
+from eha_monitor.estimation.modelled import contributions_along
+from eha_monitor.physics import signals as s
+from eha_monitor.physics.contributions import N_EFFECTS, N_THETA, new_memory, slot_of
+from eha_monitor.physics.effects import NAMES
 from eha_monitor.physics.effects.oil import compliance
+from eha_monitor.physics.own_term import parsed
+from eha_monitor.settings.hypothesis import Hypothesis
 from eha_monitor.settings.rig import Rig
 
 BALANCES = ("force", "flow", "drive")
@@ -70,6 +71,7 @@ class Candidate:
     upon : family of which another term must be there, because it only adds to one.
     odd : it changes its sign with the direction of motion.
     power : it grows with this power of the speed.
+    configured : what the config has of it, SI; the term is what comes on top.
     """
 
     name: str
@@ -93,6 +95,7 @@ class Candidate:
     upon: str = ""
     odd: bool = True
     power: float = 0.0
+    configured: float = 0.0
 
     @property
     def kind(self) -> str:
@@ -191,7 +194,7 @@ def turned(course: Course) -> bool:
 def balances_in(courses: Sequence[Course], rig: Rig) -> tuple[str, ...]:
     """Return the balances that recordings of a rig hold."""
     found = ["force"]
-    if all(has_flow(c, rig) for c in courses):
+    if all(c.has_flow for c in courses):
         found.append("flow")
     if all(c.wanted is not None and np.any(c.omega[c.good]) for c in courses):
         found.append("drive")
@@ -240,9 +243,10 @@ def force_candidates(scale: Scale, rig: Rig) -> tuple[Candidate, ...]:
             family="dry", variant=True, needs="load", symbol="mu",
             shape=(("v_e", standing),)),
         one("F_v", "valve_direction", "N", "force in the direction of valve or pump", 0,
-            lambda c, r: direction_of(c) if valves(c, r) else None),
+            lambda c, r: c.commanded if valves(c, r) else None),
         one("dM", "added_mass", "kg", "moving mass beyond the config's", 0, lambda c, r: c.a,
-            limit=MASS * rig.mass, symbol="dM", power=2.0, twins=("pressure_delay",)),
+            limit=MASS * rig.mass, symbol="dM", power=2.0, twins=("pressure_delay",),
+            configured=rig.mass),
         one("a_1", "quadratic_friction", "N·s²/m²", "quadratic damping", 1,
             lambda c, r: c.v * np.abs(c.v), family="viscous", symbol="a_1", power=2.0),
         one("dB", "asymmetric_friction", "N·s/m", "damping more forwards than the mean", 0,
@@ -298,22 +302,21 @@ def valves(course: Course, rig: Rig) -> bool:
             and rig.makeup_conductance == 0.0)
 
 
-def pressure_rate(course: Course, rig: Rig) -> np.ndarray:
+def pressure_rate(course: Course) -> np.ndarray:
     """Return the rate of the filled chamber's pressure, as of chamber 1; (m,) Pa/s.
 
-    The mean of both where both count (:func:`course.of_both`).
+    The mean of both where both count (:attr:`Course.mean_of_both`).
     """
-    share = rig.area_2 / rig.area_1
-    if of_both(course, rig):
+    if course.mean_of_both:
         return 0.5 * (course.rate_1 - course.rate_2)
-    side = pumped_side(course, rig)
+    side = course.pumped_side
     return np.where(side > 0.0, course.rate_1, np.where(
-        side < 0.0, -course.rate_2 / share, 0.0))
+        side < 0.0, -course.rate_2 / course.ratio, 0.0))
 
 
 def pumped_pressure(course: Course, rig: Rig) -> np.ndarray:
     """Return the pressure above ambient of the chamber that the pump fills, (m,) Pa."""
-    return _above_ambient(np.where(pumped_side(course, rig) > 0.0, course.p1, course.p2), course,
+    return _above_ambient(np.where(course.pumped_side > 0.0, course.p1, course.p2), course,
                           rig)
 
 
@@ -326,13 +329,13 @@ def _pump_difference(course: Course, rig: Rig) -> np.ndarray:
     """Return the pressure difference that the pump works against, (m,) Pa."""
     if rig.area_1 == rig.area_2:
         return course.p1 - course.p2
-    return pumped_side(course, rig) * pumped_pressure(course, rig)
+    return course.pumped_side * pumped_pressure(course, rig)
 
 
-def _as_of_chamber_1(course: Course, rig: Rig) -> np.ndarray | float:
+def _as_of_chamber_1(course: Course) -> np.ndarray | float:
     """Return what a flow out of the filled chamber is worth at chamber 1's area, (m,)."""
-    share = rig.area_2 / rig.area_1
-    return 1.0 if share == 1.0 else np.where(pumped_side(course, rig) > 0.0, 1.0, 1.0 / share)
+    return 1.0 if course.ratio == 1.0 else np.where(course.pumped_side > 0.0, 1.0,
+                                                    1.0 / course.ratio)
 
 
 def _air(course: Course, rig: Rig) -> np.ndarray | None:
@@ -341,14 +344,14 @@ def _air(course: Course, rig: Rig) -> np.ndarray | None:
         return None
     p = pumped_pressure(course, rig) + rig.ambient_pressure
     soft = np.array([compliance.py_func(one, 1.0, AIR_EXPONENT) for one in p.tolist()])
-    return -pressure_rate(course, rig) * rig.volume_1 * soft
+    return -pressure_rate(course) * rig.volume_1 * soft
 
 
 def _over_stroke(course: Course, rig: Rig) -> np.ndarray:
     """Return the rate that a volume over the stroke takes up: V_1 + A_v x, V_2 - A_v x."""
-    if of_both(course, rig):
+    if course.mean_of_both:
         return -0.5 * (course.rate_1 + course.rate_2) * course.x
-    return -pumped_side(course, rig) * pressure_rate(course, rig) * course.x
+    return -course.pumped_side * pressure_rate(course) * course.x
 
 
 def flow_candidates(scale: Scale, rig: Rig) -> tuple[Candidate, ...]:
@@ -359,7 +362,7 @@ def flow_candidates(scale: Scale, rig: Rig) -> tuple[Candidate, ...]:
         return Candidate(name, effect, "flow", unit, words, sign, column, **more)
 
     def crossing(of):
-        return lambda c, r: -of(c.p1 - c.p2) * _as_of_chamber_1(c, r)
+        return lambda c, r: -of(c.p1 - c.p2) * _as_of_chamber_1(c)
 
     return (
         one("D_p", "pump_displacement", "m³/rad", "pump displacement", 1, lambda c, r: c.omega,
@@ -367,7 +370,7 @@ def flow_candidates(scale: Scale, rig: Rig) -> tuple[Candidate, ...]:
         one("dD_p", "pump_loss_by_direction", "m³/rad", "further displacement where it retracts",
             0, lambda c, r: np.minimum(c.omega, 0.0), odd=False, power=1.0),
         one("C_h", "compliance", "m³/Pa", "compliance of a chamber", 1,
-            lambda c, r: -pressure_rate(c, r), family="compliance", power=1.0),
+            lambda c, r: -pressure_rate(c), family="compliance", power=1.0),
         one("alpha", "entrained_air", "1", "share of air, at atmospheric pressure", 1, _air,
             family="compliance", symbol="alpha", shape=(("n", AIR_EXPONENT),), power=1.0,
             limit=0.5),
@@ -381,14 +384,14 @@ def flow_candidates(scale: Scale, rig: Rig) -> tuple[Candidate, ...]:
             crossing(lambda dp: dp / (dp**2 + LAMINAR**2) ** 0.25), family="gap", symbol="c",
             shape=(("dp_0", LAMINAR),)),
         one("L_1", "external_leakage", "m³/(s·Pa)", "leakage to ambient", 1,
-            lambda c, r: -pumped_side(c, r) * pumped_pressure(c, r) * _as_of_chamber_1(c, r),
+            lambda c, r: -c.pumped_side * pumped_pressure(c, r) * _as_of_chamber_1(c),
             family="gap", symbol="L_1", variant=True),
         one("L_1a", "external_leakage", "m³/(s·Pa)", "leakage of chamber 1 to ambient", 1,
-            lambda c, r: of_filled(-_above_ambient(c.p1, c, r), np.zeros(len(c)), c, r),
+            lambda c, r: c.of_filled(-_above_ambient(c.p1, c, r), np.zeros(len(c))),
             family="gap", symbol="L_1", shape=(("L_2", 0.0),), variant=True, odd=False),
         one("L_2a", "external_leakage", "m³/(s·Pa)", "leakage of chamber 2 to ambient", 1,
-            lambda c, r: of_filled(np.zeros(len(c)), _above_ambient(c.p2, c, r)
-                                   * r.area_1 / r.area_2, c, r),
+            lambda c, r: c.of_filled(np.zeros(len(c)), _above_ambient(c.p2, c, r)
+                                     * r.area_1 / r.area_2),
             family="gap", symbol="L_2", shape=(("L_1", 0.0),), variant=True, odd=False),
         one("k_l", "pump_volumetric_loss", "1/Pa", "flow of the pump lost per pressure", 1,
             lambda c, r: None if not pump else -pump * np.abs(c.omega) * _pump_difference(c, r),
@@ -427,3 +430,57 @@ def drive_candidates(scale: Scale, rig: Rig) -> tuple[Candidate, ...]:
             lambda c, r, top=top: np.clip(c.wanted, -top, top) - c.wanted, variant=True,
             symbol="omega_max", shape=(("omega_max", top), ("slew", np.inf)), limit=1.5))
     return tuple(found)
+
+
+BY_HALF = 1.5  # a parameter times this makes a term times this, if the term is linear in it
+
+
+def candidate_of(hypothesis: Hypothesis, rig: Rig) -> Candidate | None:
+    """Return a hypothesis as a candidate, its shape held at the start; None where it is none.
+
+    It needs a parameter in which it is linear: that one is fitted.
+    """
+    start = {key: one.start for key, one in hypothesis.parameters.items()}
+    for key, one in hypothesis.parameters.items():
+        if start[key] and _linear(hypothesis, start, key):
+            return Candidate(
+                hypothesis.name, hypothesis.name, "force" if hypothesis.adds == "force"
+                else "flow", one.unit or "1", hypothesis.name.replace("_", " "),
+                1 if one.lower >= 0.0 else -1 if one.upper <= 0.0 else 0,
+                lambda c, r, key=key: _column(hypothesis, start, key, c, r), symbol=key,
+                limit=max(abs(one.lower), abs(one.upper)))
+    return None
+
+
+def _linear(hypothesis: Hypothesis, start: dict[str, float], key: str) -> bool:
+    """Tell whether a term is proportional to a parameter, on some motion."""
+    track = np.random.default_rng(0).uniform(-1.0, 1.0, (64, s.N_SIGNALS))
+    track[:, s.P1:s.OMEGA] = 1e6 * (2.0 + track[:, s.P1:s.OMEGA])
+    one, other = (_made(hypothesis, values, track, 1e-3) for values in (
+        start, {**start, key: BY_HALF * start[key]}))
+    return bool(np.any(one)) and np.allclose(other, BY_HALF * one, rtol=1e-9)
+
+
+def _made(hypothesis: Hypothesis, values: dict[str, float], track: np.ndarray, dt: float
+          ) -> np.ndarray:
+    """Return what a hypothesis contributes along a motion, (n, N_CONTRIBUTIONS)."""
+    which = len(NAMES)
+    theta, active = np.zeros(N_THETA), np.zeros(N_EFFECTS, dtype=np.bool_)
+    theta[slot_of(which)] = parsed(hypothesis.expression).slot(hypothesis.adds, values)
+    active[which] = True
+    found = np.zeros((len(track), s.N_CONTRIBUTIONS))
+    contributions_along(track, dt, 2, theta, active, new_memory(), found)
+    return found
+
+
+def _column(hypothesis: Hypothesis, values: dict[str, float], key: str, course: Course, rig: Rig
+            ) -> np.ndarray | None:
+    """Return the term along a recording, in its balance, by a parameter of 1; (m,)."""
+    c = _made(hypothesis, values, course.track(), course.dt) / values[key]
+    if hypothesis.adds == "force":
+        return c[:, s.FORCE]
+    if not course.has_flow:
+        return None
+    if hypothesis.adds == "speed":
+        return (rig.pump_displacement or 1.0) * c[:, s.SPEED]
+    return course.of_filled(c[:, s.FLOW_1], -c[:, s.FLOW_2] * rig.area_1 / rig.area_2)

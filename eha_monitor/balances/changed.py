@@ -5,7 +5,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy import stats
 
 from eha_monitor.balances.answer import overlay_of, place_of, still
 from eha_monitor.balances.candidates import SIDES
@@ -16,6 +15,7 @@ from eha_monitor.balances.model import Model, Term, of_judged
 from eha_monitor.balances.named import size_of
 from eha_monitor.balances.parameters import Stiffness, stiffness_of
 from eha_monitor.balances.policy import POLICY
+from eha_monitor.balances.scatter import limit_of
 from eha_monitor.mismatch.diagnosis import (
     Change,
     Diagnosis,
@@ -94,8 +94,7 @@ def _model(one: JudgedBalance) -> Model:
     free = [name for name in one.each[0].places if name in {
         own.partition(" ")[0] for own in one.free}]
     before, after = of_judged(one.each, one.held, one.now, free)
-    candidates = {c.name: c for c in one.each[0].candidates}
-    terms = tuple(Term(candidates[moved.name], moved.here, moved.stddev, named=True,
+    terms = tuple(Term(moved.candidate, moved.here, moved.stddev, named=True,
                        rivals=moved.rivals) for moved in one.changed)
     weights = {name: one.now.get(name, 0.0) - one.held.get(name, 0.0) for name in one.now}
     return Model(one.balance, one.each, (weights,) * len(one.each), terms, (), (), tuple(before),
@@ -112,16 +111,17 @@ def _in_words(moved: Moved, settings: Settings, oils: tuple[Stiffness, Stiffness
     ----------
     oils : what the oil of the machine and of the recordings is by itself.
     """
-    rig, held = settings.rig, settings.effects.get(moved.effect, {}).get(moved.symbol, 0.0)
+    rig, c = settings.rig, moved.candidate
+    held = settings.effects.get(c.effect, {}).get(c.symbol, 0.0)
     pair = (moved.machine + held, moved.spread), (moved.here + held, moved.stddev)
     known = [one.modulus for one in oils]
-    if moved.name == "C_h" and all(POLICY.varied * stddev < value for value, stddev in known):
+    if c.name == "C_h" and all(POLICY.sure(*one) for one in known):
         return Value(*known[0], "Pa"), Value(*known[1], "Pa"), "Pa"
-    if moved.name == "C_h" and rig.volume_1 and min(moved.machine, moved.here) > 0.0:
+    if c.name == "C_h" and rig.volume_1 and min(moved.machine, moved.here) > 0.0:
         pair = tuple((rig.volume_1 / value, rig.volume_1 / value**2 * stddev)
                      for value, stddev in pair)
         return Value(*pair[0], "Pa"), Value(*pair[1], "Pa"), "Pa"
-    return Value(*pair[0], moved.unit), Value(*pair[1], moved.unit), moved.unit
+    return Value(*pair[0], c.unit), Value(*pair[1], c.unit), c.unit
 
 
 def _runs(machine: Machine) -> str:
@@ -133,15 +133,14 @@ def _runs(machine: Machine) -> str:
 def _change(moved: Moved, machine: Machine, settings: Settings, stiffness: Stiffness) -> Change:
     """Return the record of a number that has changed."""
     healthy, now, unit = _in_words(moved, settings, (machine.stiffness, stiffness))
-    what = WHAT.get(moved.name, moved.effect)
-    name = effect_words(moved.effect)
-    words = WORDS.get(moved.name) or (
-        name if moved.words in name else f"{name} ({moved.words})")
-    symbol = "" if moved.name in WHAT else moved.symbol or moved.name
+    c = moved.candidate
+    what, name = WHAT.get(c.name, c.effect), effect_words(c.effect)
+    words = WORDS.get(c.name) or (name if c.words in name else f"{name} ({c.words})")
+    symbol = "" if c.name in WHAT else c.symbol or c.name
     runs, more = _runs(machine), moved.here - moved.machine
-    by = "" if unit != moved.unit or not moved.apart < SHARED * moved.stddev else (
+    by = "" if unit != c.unit or not moved.apart < SHARED * moved.stddev else (
         f", {with_uncertainty(abs(more), moved.apart, unit)} {'more' if more > 0.0 else 'less'}")
-    return Change(what, symbol, moved.balance, healthy, now, unit, (
+    return Change(what, symbol, c.balance, healthy, now, unit, (
         f"{words} is {with_uncertainty(now.value, now.stddev, unit)}, where {runs} have "
         f"{with_uncertainty(healthy.value, healthy.stddev, unit)}{by}"),
         tuple(EFFECTS.get(one, one) for one in moved.rivals))
@@ -156,7 +155,7 @@ def _oil(machine: Machine, stiffness: Stiffness) -> Change | None:
     if count < machine.policy.fewest or not np.isfinite(stiffness.stddev):
         return None
     spread = np.hypot(of.between, of.stddev * np.sqrt(count)) * np.sqrt(1.0 + 1.0 / count)
-    limit = float(stats.t.ppf(1.0 - 0.5 * machine.policy.false, count - 1))
+    limit = limit_of(count, 1.0, machine.policy.false)
     if not abs(stiffness.value - of.value) > np.hypot(
             limit * spread, machine.policy.varied * stiffness.stddev):
         return None
@@ -168,13 +167,14 @@ def _oil(machine: Machine, stiffness: Stiffness) -> Change | None:
 
 def _effect(moved: Moved, change: Change, models: Sequence[Model]) -> NamedEffect:
     """Return the record of an effect that has changed."""
-    model = next(one for one in models if one.balance == moved.balance)
-    terms = [t for t in model.terms if t.candidate.effect == moved.effect]
-    entry = CATALOGUE.get(moved.effect)
+    c = moved.candidate
+    model = next(one for one in models if one.balance == c.balance)
+    terms = [t for t in model.terms if t.candidate.effect == c.effect]
+    entry = CATALOGUE.get(c.effect)
     gained = model.effective * float(np.log(max(model.nominal_error, 1e-9)
                                             / max(model.error, 1e-9)))
     values = {change.symbol: change.now}
-    return NamedEffect(moved.effect, moved.balance, change.statement, values, max(gained, 0.0),
+    return NamedEffect(c.effect, c.balance, change.statement, values, max(gained, 0.0),
                        moved.rivals, entry.equation if entry else "",
                        entry.rig_check if entry else "", size_of(terms, model),
                        effective_samples=model.effective)
@@ -194,7 +194,7 @@ def _health(machine: Machine, judged: Judged, stiffness: Stiffness, before: bool
         if value > 0.0 and stddev < value:  # else these recordings do not determine it
             found["B"] = Value(value, stddev, "N·s/m")
     modulus, stddev = (machine.stiffness if before else stiffness).modulus
-    if machine.policy.varied * stddev < modulus:
+    if machine.policy.sure(modulus, stddev):
         found["beta_e"] = Value(modulus, stddev, "Pa")
     return found
 
@@ -208,9 +208,9 @@ def _message(verdict: str, changes: Sequence[Change], judged: Judged, runs: str)
                       key=lambda one: abs(one.deviations) / one.limit, default=None)
         beyond = largest is not None and abs(largest.deviations) > largest.limit
         most = "" if largest is None else (
-            f": the largest difference is {effect_words(largest.effect)}, by "
+            f": the largest difference is {effect_words(largest.candidate.effect)}, by "
             f"{number(abs(largest.deviations), 2)} of their standard deviations; " + (
-                f"it makes less than {share(POLICY.worse)} of the {largest.balance}"
+                f"it makes less than {share(POLICY.worse)} of the {largest.candidate.balance}"
                 if beyond else f"the limit is {number(largest.limit, 2)}"))
         return f"nothing has changed from {runs}{most}"
     said = [f"{one.balance}: {share(one.error, 2)} of it unexplained, at most "

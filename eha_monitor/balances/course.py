@@ -7,7 +7,7 @@ low-pass without phase, so that a linear law stays exactly that law whatever the
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from itertools import compress
 
 import numpy as np
@@ -68,6 +68,7 @@ class Course:
     skew : by how much one channel may be late against another, s: half a sample.
     passed : (band's response to white noise, and to its derivative in 1/s), rms.
     gauge : the pressures are read above the ambient one.
+    ratio : area of chamber 2 over that of chamber 1; None of a rig without areas.
     good : (m,) bool, measured on all channels and away from stops.
     moving : (m,) bool, fast enough for dry friction to have a sign.
     """
@@ -92,6 +93,7 @@ class Course:
     skew: float
     passed: tuple[float, float]
     gauge: bool
+    ratio: float | None
     good: np.ndarray
     moving: np.ndarray
 
@@ -117,6 +119,58 @@ class Course:
     def step(self) -> float:
         """Spacing of the compared points, s."""
         return self.every * self.dt
+
+    @property
+    def has_flow(self) -> bool:
+        """Whether it holds a flow balance."""
+        return self.ratio is not None and self.p1 is not None and (
+            self.omega is not None and bool(np.any(self.omega[self.good])))
+
+    @cached_property
+    def mean_of_both(self) -> bool:
+        """Whether the flow balance is the mean of both chambers', which halves the noise.
+
+        Not with unequal areas, and not where check valves hold the lower pressure at the
+        source's: only the filled chamber's oil is compressed there.  Of two closed chambers the
+        lower pressure falls by what the higher one rises, of such it stays: it is told by which
+        is nearer.
+        """
+        if self.ratio != 1.0:
+            return False
+        pressures = np.sort(np.stack([self.p1, self.p2])[:, self.good], axis=0)
+        (_, shared), (_, high) = np.cov(pressures)
+        return bool(-shared >= 0.5 * high)
+
+    @cached_property
+    def commanded(self) -> np.ndarray:
+        """Side to which valve or pump act, (m,): the sign of the last real demand.
+
+        Where no channel says what is demanded, that of the last motion; 0 before the first.
+        """
+        signal = self.v if self.demand is None else self.demand
+        level = self.quiet * float(np.quantile(np.abs(signal), 0.98))
+        marks = np.where(signal > level, 1.0, np.where(signal < -level, -1.0, 0.0))
+        places = np.where(marks != 0.0, np.arange(len(marks)), 0)
+        return marks[np.maximum.accumulate(places)]
+
+    @cached_property
+    def pumped_side(self) -> np.ndarray:
+        """Chamber that the pump fills, (m,): 1, -1, or 0 before the first demand.
+
+        Behind valves it is the demand that says so, not the pressure: that falls at each switch.
+        A chamber whose pressure an accumulator holds is never filled by the pump alone.
+        """
+        if self.ratio != 1.0 and np.std(self.p2[self.good]) < HELD * np.std(self.p1[self.good]):
+            return np.ones(len(self))
+        if self.demand is None or self.ratio == 1.0:
+            return np.where(self.p1 > self.p2, 1.0, -1.0)
+        return self.commanded
+
+    def of_filled(self, one: np.ndarray, two: np.ndarray) -> np.ndarray:
+        """Return what holds for the chamber that the pump fills, or the mean of both chambers."""
+        if self.mean_of_both:
+            return 0.5 * (one + two)
+        return np.where(self.pumped_side > 0.0, one, two)
 
     def in_band(self, columns: np.ndarray) -> np.ndarray:
         """Return columns (m, k) or (m,) after the low-pass of every balance, compared points."""
@@ -231,7 +285,7 @@ def course_of(recording: Recording, settings: Settings, band: float = BAND) -> C
         COMMANDED if "omega_d" in whole else MEASURED, {}, _sensors(noise, cleaned),
         0.5 * dt, passed(dt, band), bool(pressures) and min(
             float(np.quantile(p, 0.01)) for p in pressures) < GAUGE * rig.ambient_pressure,
-        good, moving & good)
+        rig.area_2 / rig.area_1 if rig.area_1 and rig.area_2 else None, good, moving & good)
     found.known.update(known_of(found, rig, theta, active))
     return found
 
@@ -288,76 +342,22 @@ def known_of(course: Course, rig: Rig, theta: np.ndarray, active: np.ndarray
     if active.any():
         contributions_along(course.track(), course.dt, 2, theta, active, new_memory(), c)
     known = {"force": c[:, s.FORCE] + (rig.mass + c[:, s.MASS]) * course.a, "drive": zero}
-    if not has_flow(course, rig):
+    if not course.has_flow:
         return known
-    ratio = rig.area_2 / rig.area_1
     pump = (rig.pump_displacement or 0.0) * c[:, s.SPEED]
     crossing = 0.5 * (rig.leakage - rig.makeup_conductance) * (course.p1 - course.p2)
     left, stroke = [], []
     for sign, share, p, rate, volume, own, more, into in (
             (1.0, 1.0, course.p1, course.rate_1, s.VOLUME_1, rig.volume_1, s.COMPLIANCE_1,
              s.FLOW_1),
-            (-1.0, ratio, course.p2, course.rate_2, s.VOLUME_2, rig.volume_2, s.COMPLIANCE_2,
-             s.FLOW_2)):
+            (-1.0, course.ratio, course.p2, course.rate_2, s.VOLUME_2, rig.volume_2,
+             s.COMPLIANCE_2, s.FLOW_2)):
         soft = c[:, volume] / rig.bulk_modulus + ((own or 0.0) + c[:, volume]) * c[:, more]
         makeup = rig.makeup_conductance * (p - rig.charge_pressure)
         left.append(sign / share * (c[:, into] - sign * crossing - makeup - soft * rate))
         stroke.append(sign / share * c[:, volume] * rate)
-    return known | {"flow": pump + of_filled(*left, course, rig),
-                    "stroke": of_filled(*stroke, course, rig)}
-
-
-def of_both(course: Course, rig: Rig) -> bool:
-    """Tell whether the flow balance is the mean of both chambers', which halves the noise.
-
-    Not with unequal areas, and not where check valves hold the lower pressure at the source's:
-    only the filled chamber's oil is compressed there.  Of two closed chambers the lower pressure
-    falls by what the higher one rises, of such it stays: it is told by which is nearer.
-    """
-    if rig.area_1 != rig.area_2:
-        return False
-    pressures = np.sort(np.stack([course.p1, course.p2])[:, course.good], axis=0)
-    (_, shared), (_, high) = np.cov(pressures)
-    return bool(-shared >= 0.5 * high)
-
-
-def of_filled(one: np.ndarray, two: np.ndarray, course: Course, rig: Rig) -> np.ndarray:
-    """Return what holds for the chamber that the pump fills, or the mean of both chambers."""
-    if of_both(course, rig):
-        return 0.5 * (one + two)
-    return np.where(pumped_side(course, rig) > 0.0, one, two)
-
-
-def has_flow(course: Course, rig: Rig) -> bool:
-    """Tell whether a recording and its config hold a flow balance."""
-    return bool(rig.area_1 and rig.area_2) and course.p1 is not None and (
-        course.omega is not None and bool(np.any(course.omega[course.good])))
-
-
-def direction_of(course: Course) -> np.ndarray:
-    """Return the side to which valve or pump act, (m,): the sign of the last real demand.
-
-    Where no channel says what is demanded, that of the last motion; 0 before the first.
-    """
-    signal = course.v if course.demand is None else course.demand
-    level = course.quiet * float(np.quantile(np.abs(signal), 0.98))
-    marks = np.where(signal > level, 1.0, np.where(signal < -level, -1.0, 0.0))
-    places = np.where(marks != 0.0, np.arange(len(marks)), 0)
-    return marks[np.maximum.accumulate(places)]
-
-
-def pumped_side(course: Course, rig: Rig) -> np.ndarray:
-    """Return the chamber that the pump fills, (m,): 1, -1, or 0 before the first demand.
-
-    Behind valves it is the demand that says so, not the pressure: that falls at each switch.  A
-    chamber whose pressure an accumulator holds is never filled by the pump alone.
-    """
-    if rig.area_1 != rig.area_2 and np.std(course.p2[course.good]) < HELD * np.std(
-            course.p1[course.good]):
-        return np.ones(len(course))
-    if course.demand is None or rig.area_1 == rig.area_2:
-        return np.where(course.p1 > course.p2, 1.0, -1.0)
-    return direction_of(course)
+    return known | {"flow": pump + course.of_filled(*left),
+                    "stroke": course.of_filled(*stroke)}
 
 
 @lru_cache(DESIGNS)

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from eha_monitor.balances.candidates import Scale, stop
-from eha_monitor.balances.course import Course, direction_of
+from eha_monitor.balances.course import Course
 
 FEATURES = 200
 WIDTHS = (1.0, 2.0)  # of the kernel, times the root of the number of signals
@@ -49,7 +49,7 @@ def signals_of(course: Course, balance: str, scale: Scale) -> np.ndarray:
     For the force no pressure is among them, since the force is made of them; for the flow no
     velocity.
     """
-    side, since = direction_of(course), since_switch(course)
+    side, since = course.commanded, since_switch(course)
     speed = course.v if balance == "force" else course.omega
     found = [course.x, speed, side, np.exp(-since / 0.2), np.exp(-since / 1.0) * side]
     found += [_lagged(speed, lag, course.dt) for lag in LAGS]
@@ -64,7 +64,7 @@ def signals_of(course: Course, balance: str, scale: Scale) -> np.ndarray:
 
 def since_switch(course: Course) -> np.ndarray:
     """Return the time since valve or pump last changed side or started, (m,) s; long before."""
-    side = direction_of(course)
+    side = course.commanded
     signal = np.abs(course.v if course.demand is None else course.demand)
     active = signal > 0.05 * np.quantile(signal, 0.98)
     events = np.concatenate([[False], (side[1:] != side[:-1]) | (active[1:] & ~active[:-1])])

@@ -1,22 +1,23 @@
 """The next recording of a machine: what of it has changed, in a fraction of a second."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
+from functools import cached_property
 
 import numpy as np
 
 from eha_monitor import ties
 from eha_monitor.balances.alone import covariance_by_chance, form_and_doubts
-from eha_monitor.balances.candidates import balances_in, candidates_of
+from eha_monitor.balances.candidates import Candidate, balances_in, candidates_of
 from eha_monitor.balances.course import Course
-from eha_monitor.balances.machine import Machine, MachineBalance, Setting, oil_of, usual_of
+from eha_monitor.balances.least_squares import weights_of
+from eha_monitor.balances.machine import Machine, MachineBalance, oil_of, usual_of
 from eha_monitor.balances.model import LOAD
 from eha_monitor.balances.named import FORCE_OF_SENSORS
 from eha_monitor.balances.policy import POLICY, Policy
 from eha_monitor.balances.scatter import Amplitudes, Scatter, amplitudes_of, limit_of, ridge_of
 from eha_monitor.balances.table import Table, pooled_table, tables_of
-from eha_monitor.balances.together import minimum_norms, setting_of, unseen
+from eha_monitor.balances.together import setting_of, unseen
 from eha_monitor.settings.monitor import Settings
 
 MOST_CHANGES = 3  # that are looked for in one balance
@@ -32,7 +33,7 @@ class Moved:
 
     Attributes
     ----------
-    name, effect, balance, words, unit, symbol : of its candidate.
+    candidate : what it is.
     here, stddev : in the recording; ``machine``, ``spread`` over the machine's own.
     deviations : Student's t; ``limit`` beyond which it has changed.
     removed : by how much the change lowers the error, as a share of the signal.
@@ -40,11 +41,7 @@ class Moved:
     apart : deviation of the difference, which does not hold what both values share.
     """
 
-    name: str
-    effect: str
-    balance: str
-    words: str
-    unit: str
+    candidate: Candidate
     here: float
     stddev: float
     machine: float
@@ -53,7 +50,6 @@ class Moved:
     limit: float
     removed: float = 0.0
     rivals: tuple[str, ...] = ()
-    symbol: str = ""
     apart: float = np.nan
 
 
@@ -127,7 +123,7 @@ class Judged:
         """Whether what has changed has names: nothing else has, little, or less than they do."""
         return bool(self.changed) and all(
             one.complete or one.after - one.usual <= POLICY.worse
-            or explains(one.error, one.after, one.usual) for one in self.balances)
+            or explains(one.error, one.after, one.usual, POLICY) for one in self.balances)
 
 
 def judge(machine: Machine, courses: Sequence[Course], settings: Settings) -> Judged:
@@ -137,7 +133,6 @@ def judge(machine: Machine, courses: Sequence[Course], settings: Settings) -> Ju
     for one in machine.balances:
         if one.balance not in there:
             continue
-        loading = next((s for s in one.settings if s.effect == LOAD), None)
         candidates = tuple(c for c in candidates_of(one.balance, machine.scale, rig)
                            if c.name in {*one.terms, *one.scatter.names})
         compared = courses if one.balance != "drive" else within_speed(
@@ -157,9 +152,8 @@ def judge(machine: Machine, courses: Sequence[Course], settings: Settings) -> Ju
         own |= {name: (float(v), float(d)) for name, v, d in zip(free, value, stddev,
                                                                  strict=True)}
         signed = {c.name for c in candidates if c.sign and c.effect not in settings.effects}
-        given = Given(loading, signed, loose, rig.mass)
-        found.append(replace(_judged(machine, one, table, held, free, given),
-                             each=tuple(tables)))
+        found.append(replace(_Beside(one, table, held, free, loose, signed, machine.policy
+                                     ).judged(machine), each=tuple(tables)))
         fitted = list(dict.fromkeys([
             *(name for name in found[-1].now if name in table.places), *free]))
         # All together: else damping takes up the friction that came.
@@ -179,122 +173,200 @@ def within_speed(courses: Sequence[Course], tops: Sequence[float]) -> list[Cours
             for course in courses for top in tops] or list(courses)
 
 
-class Given(NamedTuple):
-    """What is known of a setting and of the config.
+@dataclass(frozen=True)
+class _Beside:
+    """A balance of the next recording beside the machine's.
 
     Attributes
     ----------
-    load : of the machine's recordings; compared last, beside all else.
-    signed : terms of which the config holds nothing, so that their sign is that of physics.
+    held : the machine's parameters; ``free`` terms of the recording's own setting.
     loose : spread of what a setting has beside its load.
-    mass : of the config, kg.
+    signed : terms of which the config holds nothing, so that their sign is that of physics.
     """
 
-    load: Setting | None
-    signed: set[str]
+    one: MachineBalance
+    table: Table
+    held: dict[str, float]
+    free: list[str]
     loose: dict[str, float]
-    mass: float
+    signed: set[str]
+    policy: Policy
 
+    @cached_property
+    def of(self) -> dict[str, Candidate]:
+        """Candidates by name, in their order."""
+        return {c.name: c for c in self.table.candidates}
 
-def _judged(machine: Machine, one: MachineBalance, table: Table, held: dict[str, float],
-            free: list[str], given: Given) -> JudgedBalance:
-    """Return what has changed in one balance: one more term at a time, until none is far."""
-    load, signed, loose, mass = given
-    policy = machine.policy
+    @cached_property
+    def oil(self) -> dict[str, float]:
+        """Spread of what is free within it: of the oil, and of a setting beside its load."""
+        return self.loose | oil_of([p for p in self.one.parameters if p.name in self.of],
+                                   self.of, self.policy)
 
-    def error(weights: dict[str, float]) -> float:
+    @cached_property
+    def surely(self) -> dict[str, float]:
+        """What the machine surely has, by name."""
+        named = {name for family in self.one.named for name in family.terms}
+        return {name: value for name, value in self.held.items()
+                if self.of[name].always or self.of[name].configured
+                or self.of[name].effect in OIL or name in named}
+
+    def error(self, weights: dict[str, float]) -> float:
+        """Return the share of the signal that is left on unseen parts."""
+        table = self.table
         known = {own: value for name, value in weights.items() for own in columns_of(name, table)}
         return unseen(table, [table.places[name] for name in known],
-                      [table.places[name] for name in free if name not in known],
+                      [table.places[name] for name in self.free if name not in known],
                       np.array(list(known.values())))
 
-    def with_step(weights: dict[str, float], name: str, step: float
-                  ) -> tuple[float, dict[str, float]]:
-        """Return the error with a term moved, the oil at its best beside it, and the weights."""
-        more = weights | {name: weights.get(name, 0.0) + float(step)}
-        others = {key: value for key, value in oil.items() if key != name}
-        return error(with_oil(table, more, free, others, policy)), more
+    def at_best(self, weights: dict[str, float], but: Iterable[str] = ()) -> dict[str, float]:
+        """Return parameters with those of the oil, ``but`` some, at what fits best."""
+        oil = {name: spread for name, spread in self.oil.items() if name not in but}
+        if not oil:
+            return weights
+        table, first = self.table, len(self.free)
+        places = [table.places[name] for name in (*self.free, *oil)]
+        gram = table.gram[np.ix_(places, places)]
+        gram += np.diag([*np.zeros(first), *ridge_of(table, oil)])
+        moved = weights_of(gram, table.gram[places] @ table.mixture(table.gram, (), weights))
+        most = self.policy.varied * np.fromiter(oil.values(), float, len(oil))
+        return weights | {name: weights.get(name, 0.0) + float(step) for name, step in zip(
+            oil, np.clip(moved[first:], -most, most), strict=True)}
 
-    of = {c.name: c for c in table.candidates}
-    surely = {name: value for name, value in held.items()
-              if of[name].always or of[name].effect in OIL or any(
-                  name in family.terms for family in one.named)}
-    forms = one.form_of
-    if "dM" in of:
-        surely["dM"] = mass + held.get("dM", 0.0)
-    order = {c.name: i for i, c in enumerate(table.candidates)}
-    oil = loose | oil_of([p for p in one.parameters if p.name in of], of, policy)
-    names = [name for name in one.scatter.names
-             if name in table.places and name in one.beside.names]
-    scatter, beside = one.scatter.only(names), one.beside.only(names)
-    left, free_oil = (amplitudes_of(table, held, free, names, spreads)
-                      for spreads in (loose, oil))
-    first, changes, now = left, [], dict(held)
-    largest, complete = None, not names
-    while names:
-        # Beyond what its own recordings do, the oil held or free within its spread.
-        t, far = _farther(scatter, left, beside, free_oil, policy)
-        place = ties.largest(far)
-        if largest is None:
-            largest = _moved(scatter, table, (held, forms), first, place, t[place],
-                             scatter.limit[place])
-        complete = bool(far[place] <= 1.0)
-        if complete or len(changes) == MOST_CHANGES:
-            break
-        amount, gone = left.with_others(oil, scatter.mean, policy.varied)
-        taken = [name for name, _ in changes]
-        gone[[name in taken or (name in signed and of[name].sign * (
-            now.get(name, 0.0) + step) < 0.0) for name, step in zip(
-                left.names, amount, strict=True)]] = -np.inf
-        before = error(with_oil(table, now, free, oil, policy))
-        # That something has changed, a term shows that goes farther than healthy recordings do;
-        # which it is, what explains the recording; and whether it matters, what is named.
-        shows = ties.largest(np.where(far > 1.0, gone, -np.inf))
-        if not (far[shows] > 1.0 and gone[shows] > 0.0):
-            complete = True  # what is far is no physics: the balance's error says whether it is
-            break
-        removed = np.where(far * np.array(scatter.limit) > policy.varied, gone, -np.inf)
+    def moved(self, scatter: Scatter, found: Amplitudes, i: int, t: float, limit: float,
+              removed: float = 0.0, rivals: tuple[str, ...] = ()) -> Moved:
+        """Return a term of the recording beside the machine's.
+
+        How far the machine's goes with other shapes of its family that fit as well is in both
+        the healthy and the present value, not in their difference.
+        """
+        name, forms = found.names[i], self.one.form_of
+        c = self.of[name]
+        if c.family == WEAR and not c.upon:  # of any shape it is a force
+            base = own_part(name, self.table, self.held)
+            form = float(np.linalg.norm([own_part(name, self.table, {other: value})
+                                         for other, value in forms.items() if other in self.held]))
+        else:
+            base, form = self.held.get(name, 0.0), forms.get(name, 0.0)
+        spread = float(np.hypot(scatter.spread[i], form))
+        return Moved(c, base + float(found.value[i]), float(np.hypot(found.stddev[i], spread)),
+                     base + scatter.mean[i], spread, float(t), limit, removed, rivals,
+                     float(np.hypot(found.stddev[i], scatter.spread[i])))
+
+    def search(self) -> tuple[list[Moved], dict[str, float], bool, Moved | None]:
+        """Return what has changed: one more term at a time, until none is far.
+
+        Also the parameters with it, whether nothing else has, and the term that differs most.
+        """
+        one, table, policy = self.one, self.table, self.policy
+        names = [name for name in one.scatter.names
+                 if name in table.places and name in one.beside.names]
+        scatter, beside = one.scatter.only(names), one.beside.only(names)
+        left, free_oil = (amplitudes_of(table, self.held, self.free, names, spreads)
+                          for spreads in (self.loose, self.oil))
+        first, now, changes, largest = left, dict(self.held), [], None
+        while names:
+            # Beyond what its own recordings do, the oil held or free within its spread.
+            t, far = _farther(scatter, left, beside, free_oil, policy)
+            place = ties.largest(far)
+            if largest is None:
+                largest = self.moved(scatter, first, place, t[place], scatter.limit[place])
+            if far[place] <= 1.0:
+                break
+            if len(changes) == MOST_CHANGES:
+                return changes, now, False, largest
+            # That something has changed, a term shows that goes farther than healthy recordings
+            # do; which it is, what explains the recording; and whether it matters, what is named.
+            # What is far and removes nothing is no physics: the balance's error says whether it
+            # matters.
+            taken = {moved.candidate.name for moved in changes}
+            amount, gone = self.gone(left, scatter, now, taken)
+            shows = ties.largest(np.where(far > 1.0, gone, -np.inf))
+            if not (far[shows] > 1.0 and gone[shows] > 0.0):
+                break
+            i, equal = self.chosen(left, np.where(
+                far * np.array(scatter.limit) > policy.varied, gone, -np.inf))
+            name, step = left.names[i], float(amount[i])
+            before = self.error(self.at_best(now))
+            more = now | {name: now.get(name, 0.0) + step}
+            after = self.error(self.at_best(more, (name,)))
+            if not self.matters(name, step, before, after):
+                break
+            rivals = tuple(dict.fromkeys([*self.of[name].twins, *(
+                other for j in equal if j != i
+                and (other := self.of[left.names[j]].effect) != self.of[name].effect)]))
+            changes.append(self.moved(scatter, replace(left, value=scatter.mean + amount), i, t[i],
+                                      scatter.limit[i], before - after, rivals))
+            now = more
+            left, free_oil = (each.moved(i, step) for each in (left, free_oil))
+        return changes, now, True, largest
+
+    def gone(self, left: Amplitudes, scatter: Scatter, now: dict[str, float], taken: set[str]
+             ) -> tuple[np.ndarray, np.ndarray]:
+        """Return by how much each term has moved and the squares that are gone with it, (k,)."""
+        amount, gone = np.array([left.gone_with(self.oil, self.policy.varied, i, mean)
+                                 for i, mean in enumerate(scatter.mean)]).T
+        for i, name in enumerate(left.names):
+            if name in taken or (name in self.signed and self.of[name].sign * (
+                    now.get(name, 0.0) + amount[i]) < 0.0):
+                gone[i] = -np.inf
+        return amount, gone
+
+    def chosen(self, left: Amplitudes, removed: np.ndarray) -> tuple[int, list[int]]:
+        """Return the term that explains a recording, and those that remove nearly as much.
+
+        Of what leaves the same, a number that the machine has comes first, then what stands first
+        among the candidates.  But a seal wears before a load or a spring comes to a machine; its
+        oil is another matter.
+
+        Parameters
+        ----------
+        removed : (k,) squares that are gone with each term.
+        """
+        alone, order = self.policy.alone, list(self.of)
         most = float(removed.max())
-        # What removes nearly as much is a rival.  Of what leaves the same, a number that the
-        # machine has comes first, then what stands first among the candidates.  But a seal wears
-        # before a load or a spring comes to a machine; its oil is another matter.
-        by_oil = min(left.gone_with(oil, policy.varied), most)  # which is free beside each
+        _, squares = left.gone_with(self.oil, self.policy.varied)
+        by_oil = min(max(squares, 0.0), most)  # which is free beside each
         equal = [i for i in range(len(removed)) if removed[i] - by_oil >= (
-            most - by_oil) * np.exp(-2.0 * policy.alone)]
-        i = min((i for i in equal if left.left - removed[i] <= max(
-            left.left - most, table.n * table.floor**2) * np.exp(2.0 * policy.alone)),
-                key=lambda i: (left.names[i] != WEARS, left.names[i] not in held,
-                               order[left.names[i]]))
-        if not of[left.names[i]].of_oil:
+            most - by_oil) * np.exp(-2.0 * alone)]
+        least = max(left.left - most, self.table.n * self.table.floor**2) * np.exp(2.0 * alone)
+        i = min((i for i in equal if left.left - removed[i] <= least), key=lambda i: (
+            left.names[i] != WEARS, left.names[i] not in self.held, order.index(left.names[i])))
+        if not self.of[left.names[i]].of_oil:
             i = next((j for j in equal if left.names[j] == WEARS), i)
-        name, step, usual = left.names[i], float(amount[i]), max(one.held)
-        (after, more), own = with_step(now, name, step), abs(own_part(name, table, surely))
-        if not abs(step) > policy.worse * own or not (
-                before - after > policy.worse or abs(step) > policy.near * own > 0.0
-                or (is_loud(before, usual, one.size, table) and explains(before, after, usual))):
-            complete = True  # too little to repair a machine for
-            break
-        equal.remove(i)
-        rivals = tuple(dict.fromkeys([*of[name].twins, *(
-            other for j in equal if (other := of[left.names[j]].effect) != of[name].effect)]))
-        changes.append((name, _moved(scatter, table, (held, forms), replace(
-            left, value=scatter.mean + amount), i, t[i], scatter.limit[i], before - after,
-                rivals)))
-        now = more
-        left, free_oil = (each.moved(i, float(amount[i])) for each in (left, free_oil))
+        return i, equal
 
-    now = with_oil(table, now, free, {
-        key: value for key, value in oil.items() if key not in dict(changes)}, policy)
-    moved = _load(machine, table, now, free, load)
-    if moved is not None and not any(m.effect in OF_PLACE for _, m in changes):
-        free = [name for name in free if name not in columns_of(moved.name, table)]
-        held, now = held | {moved.name: moved.machine}, now | {moved.name: moved.here}
-        changes.append((moved.name, replace(moved, removed=error(held) - error(now))))
-    held = with_oil(table, held, free, oil, policy)
-    return JudgedBalance(one.balance, table, held, now, error(held), error(now),
-                         max(one.held),
-                         tuple(moved for _, moved in changes), complete, largest, one.size,
-                         tuple(free))
+    def matters(self, name: str, step: float, before: float, after: float) -> bool:
+        """Tell whether a machine is repaired for a change.
+
+        Parameters
+        ----------
+        before, after : share of the signal that is left without and with it.
+        """
+        policy, usual = self.policy, max(self.one.held)
+        own = abs(own_part(name, self.table, self.surely) + self.of[name].configured)
+        return abs(step) > policy.worse * own and (
+            before - after > policy.worse or abs(step) > policy.near * own > 0.0
+            or (is_loud(before, usual, self.one.size, self.table)
+                and explains(before, after, usual, policy)))
+
+    def judged(self, machine: Machine) -> JudgedBalance:
+        """Return what has changed in the balance, its constant load last, beside all else."""
+        one, table, free = self.one, self.table, self.free
+        changes, now, complete, largest = self.search()
+        now = self.at_best(now, {moved.candidate.name for moved in changes})
+        load, held = _load(machine, one, table, now, free), self.held
+        if load is not None and not any(moved.candidate.effect in OF_PLACE for moved in changes):
+            name = load.candidate.name
+            beside = replace(self, held=held | {name: load.machine}, free=[
+                own for own in free if own not in columns_of(name, table)])
+            held, free, now = beside.held, beside.free, now | {name: load.here}
+            changes.append(replace(load, removed=beside.error(held) - beside.error(now)))
+        last = replace(self, held=held, free=free)
+        held = last.at_best(held)
+        return JudgedBalance(one.balance, table, held, now, last.error(held), last.error(now),
+                             max(one.held), tuple(changes), complete, largest, one.size,
+                             tuple(free))
 
 
 def _farther(scatter: Scatter, left: Amplitudes, beside: Scatter, loose: Amplitudes,
@@ -314,9 +386,9 @@ def _farther(scatter: Scatter, left: Amplitudes, beside: Scatter, loose: Amplitu
     return np.where(farther > far, other, t), np.maximum(far, farther)
 
 
-def explains(before: float, after: float, usual: float) -> bool:
-    """Tell whether a change explains half of the squared error beyond the usual one."""
-    return before**2 - after**2 > 0.5 * (before**2 - usual**2)
+def explains(before: float, after: float, usual: float, policy: Policy) -> bool:
+    """Tell whether a change leaves less than ``open`` of the squared error beyond the usual."""
+    return after**2 - usual**2 < policy.open * (before**2 - usual**2)
 
 
 def is_loud(error: float, usual: float, size: float, table: Table) -> bool:
@@ -328,21 +400,6 @@ def is_loud(error: float, usual: float, size: float, table: Table) -> bool:
         in a quiet motion the same newtons are a larger share.
     """
     return error > ERROR * max(usual * max(size / table.size, 1.0), table.floor / table.size)
-
-
-def with_oil(table: Table, weights: dict[str, float], free: Sequence[str],
-             oil: dict[str, float], policy: Policy) -> dict[str, float]:
-    """Return parameters with those of the oil moved to what fits best, within their spread."""
-    if not oil:
-        return weights
-    places = [table.places[name] for name in (*free, *oil)]
-    ridge = np.diag([*np.zeros(len(free)), *ridge_of(table, oil)])
-    side = table.gram[places] @ table.mixture(table.gram, (), weights)
-    moved = minimum_norms(table.gram[np.ix_(places, places)] + ridge,
-                          side[:, None])[len(free) :, 0]
-    most = policy.varied * np.fromiter(oil.values(), float, len(oil))
-    return weights | {name: weights.get(name, 0.0) + float(step)
-                      for name, step in zip(oil, np.clip(moved, -most, most), strict=True)}
 
 
 def columns_of(name: str, table: Table) -> list[str]:
@@ -363,12 +420,13 @@ def own_part(name: str, table: Table, held: dict[str, float]) -> float:
         float(table.gram[place, place]), 1e-300)
 
 
-def _load(machine: Machine, table: Table, now: dict[str, float], free: list[str],
-          load: Setting | None) -> Moved | None:
+def _load(machine: Machine, one: MachineBalance, table: Table, now: dict[str, float],
+          free: list[str]) -> Moved | None:
     """Return the constant load where it differs from those of the machine's recordings.
 
     By more than they differ among themselves; or the zero of a pressure sensor does.
     """
+    load = next((s for s in one.settings if s.effect == LOAD), None)
     own = [] if load is None else [name for name in columns_of(load.name, table) if name in free]
     if not own:
         return None
@@ -385,32 +443,6 @@ def _load(machine: Machine, table: Table, now: dict[str, float], free: list[str]
     limit = limit_of(runs, 1.0, policy.false)
     if not abs(t) > limit or not abs(here - mean) > policy.worse * table.size:
         return None
-    c = table.candidates[table.places[own[0]] - 1]
-    return Moved(load.name, c.effect, c.balance, c.words, c.unit, here,
-                 float(np.hypot(stddev, spread)), mean, spread, float(t), limit, 0.0,
-                 FORCE_OF_SENSORS, c.symbol)
-
-
-def _moved(scatter: Scatter, table: Table, own: tuple[dict[str, float], dict[str, float]],
-           found: Amplitudes, i: int, t: float, limit: float, removed: float = 0.0,
-           rivals: tuple[str, ...] = ()) -> Moved:
-    """Return a term of a recording beside the machine's.
-
-    Parameters
-    ----------
-    own : the machine's parameters, and how far each goes with other shapes of its family that
-        fit as well: healthy and present value share it, their difference does not.
-    """
-    name, (held, forms) = found.names[i], own
-    c = table.candidates[table.places[name] - 1]
-    if c.family == WEAR and not c.upon:  # of any shape it is a force
-        base = own_part(name, table, held)
-        form = float(np.linalg.norm([own_part(name, table, {other: value})
-                                     for other, value in forms.items() if other in held]))
-    else:
-        base, form = held.get(name, 0.0), forms.get(name, 0.0)
-    spread = float(np.hypot(scatter.spread[i], form))
-    return Moved(name, c.effect, c.balance, c.words, c.unit, base + float(found.value[i]),
-                 float(np.hypot(found.stddev[i], spread)), base + scatter.mean[i], spread,
-                 float(t), limit, removed, rivals, c.symbol,
-                 float(np.hypot(found.stddev[i], scatter.spread[i])))
+    c = replace(table.candidates[table.places[own[0]] - 1], name=load.name)
+    return Moved(c, here, float(np.hypot(stddev, spread)), mean, spread, float(t), limit, 0.0,
+                 FORCE_OF_SENSORS)

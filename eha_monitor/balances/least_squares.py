@@ -4,6 +4,8 @@ With columns D, (n, k), and a right side y every fit below needs only D'D, D'y a
 recordings are added and left out by adding and subtracting small matrices.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 
 CUT = 0.05  # of the autocorrelation of a residual, below which it is noise
@@ -53,7 +55,12 @@ def signed_solution(gram: np.ndarray, side: np.ndarray, signs: np.ndarray) -> np
 
 
 def minimum_norm(gram: np.ndarray, side: np.ndarray) -> np.ndarray:
-    """Return the weights of the normal equations; none along directions without data."""
+    """Return the weights of the normal equations; none along directions without data.
+
+    Parameters
+    ----------
+    side : (k,), or (k, s) for several right sides.
+    """
     if not len(side):
         return side.copy()
     try:
@@ -62,9 +69,13 @@ def minimum_norm(gram: np.ndarray, side: np.ndarray) -> np.ndarray:
             return np.linalg.solve(gram, side)
     except np.linalg.LinAlgError:
         pass
-    values, vectors = np.linalg.eigh(gram)
-    kept = values > NULL * values[-1]
-    return vectors[:, kept] @ ((vectors[:, kept].T @ side) / values[kept])
+    return np.linalg.lstsq(gram, side, rcond=NULL)[0]
+
+
+def weights_of(gram: np.ndarray, side: np.ndarray) -> np.ndarray:
+    """Return :func:`minimum_norm` whatever the columns' units."""
+    size = np.sqrt(np.maximum(np.diag(gram), 1e-300))
+    return (minimum_norm(gram / np.outer(size, size), (side.T / size).T).T / size).T
 
 
 def inverse_of(gram: np.ndarray) -> np.ndarray:
@@ -76,6 +87,22 @@ def inverse_of(gram: np.ndarray) -> np.ndarray:
     unknown = (vectors[:, ~kept] ** 2).sum(axis=1) > NULL
     inverse[unknown, unknown] = np.inf
     return inverse / np.outer(size, size)
+
+
+def from_absent(values: Sequence[float], covariance: np.ndarray, which: Sequence[bool]) -> float:
+    """Return how far some terms together are from absent, in standard deviations.
+
+    Two shapes of one seal's friction share it as chance has it: neither may be sure where their
+    sum is.
+
+    Parameters
+    ----------
+    values, covariance, which : (k,) SI; (k, k); (k,) the terms of a family.
+    """
+    known = np.isfinite(np.diag(covariance))  # of what no recording shows nothing is apart
+    own = np.flatnonzero(np.asarray(which, dtype=bool) & known)
+    w = np.asarray(values)[own]
+    return float(np.sqrt(max(w @ inverse_of(covariance[np.ix_(own, own)]) @ w, 0.0)))
 
 
 def independent(residual: np.ndarray) -> float:

@@ -22,6 +22,7 @@ from eha_monitor.balances.scatter import Scatter, scatter_of
 from eha_monitor.balances.table import Table, nominal_of, tables_of
 from eha_monitor.balances.together import Chosen, Named, Recordings, pooled
 from eha_monitor.errors import InputError
+from eha_monitor.output import finite
 from eha_monitor.quantity import share
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings.monitor import Settings
@@ -183,7 +184,7 @@ class Machine:
                 row |= {s.name: {"value": s.value[i], "stddev": s.stddev[i], "unit": s.unit}
                         for s in one.settings}
             settings.append(row)
-        return _plain({
+        return finite({
             "schema": SCHEMA, "rig": self.rig, "recordings": len(self.sources),
             "parameters": [asdict(p) | {"balance": one.balance} for one in self.balances
                            for p in one.parameters],
@@ -191,19 +192,9 @@ class Machine:
             "unexplained_share": {one.balance: one.unexplained for one in self.balances},
             "repeating_share": {one.balance: one.repeats for one in self.balances},
             "load_varied": self.load_varied, "turns": self.scale.turns, "pieces": self.pieces,
-            "odd": [asdict(one) for one in self.odd],
-            "stiffness": asdict(self.stiffness), "areas": self.areas,
-            "scale": asdict(self.scale), "policy": self.policy.to_dict(),
-            "balances": [asdict(one) for one in self.balances]})
-
-
-def _plain(tree):
-    """Return a tree with null for what is not finite: a deviation that nothing determines."""
-    if isinstance(tree, dict):
-        return {key: _plain(value) for key, value in tree.items()}
-    if isinstance(tree, (list, tuple)):
-        return [_plain(value) for value in tree]
-    return None if isinstance(tree, float) and not np.isfinite(tree) else tree
+            "odd": self.odd,
+            "stiffness": self.stiffness, "areas": self.areas, "scale": self.scale,
+            "policy": self.policy, "balances": self.balances})
 
 
 def rms(values: Sequence[float]) -> float:

@@ -1,27 +1,14 @@
 """The file of a machine: as one is written, and read again."""
 
 import json
-from collections.abc import Sequence
-from dataclasses import fields
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
+from pydantic import TypeAdapter
 
-from eha_monitor.balances.alone import Refused
-from eha_monitor.balances.candidates import Scale
-from eha_monitor.balances.discrepancy import Regime
-from eha_monitor.balances.machine import (
-    SCHEMA,
-    Machine,
-    MachineBalance,
-    Odd,
-    Parameter,
-    Setting,
-)
-from eha_monitor.balances.parameters import UNKNOWN, Stiffness
-from eha_monitor.balances.policy import Policy
-from eha_monitor.balances.scatter import Scatter
-from eha_monitor.balances.together import Named
+from eha_monitor.balances.machine import SCHEMA, Machine
+from eha_monitor.balances.parameters import UNKNOWN
 from eha_monitor.errors import InputError
 from eha_monitor.output import write_json
 from eha_monitor.quantity import quantity
@@ -66,51 +53,21 @@ def _read(path: Path) -> Machine:
         data = json.loads(Path(path).read_text(encoding="utf-8"))
         if data.get("schema") != SCHEMA:
             raise ValueError(f"expected schema {SCHEMA}")
-        balances = tuple(_read_balance(one) for one in data["balances"])
-        known = {f.name for f in fields(Policy)}
-        return Machine(
-            data["rig"], tuple(row["recording"] for row in data["settings"]),
-            Scale(**data["scale"] | {"tops": tuple(data["scale"]["tops"])}),
-            data["load_varied"], data["pieces"], balances,
-            tuple(Odd(**one) for one in data["odd"]),
-            Policy(**{k: v for k, v in data["policy"].items() if k in known}),
-            _read_stiffness(data.get("stiffness")),
-            tuple(data["areas"]) if data.get("areas") else None)
+        data["sources"] = [row["recording"] for row in data["settings"]]
+        # Files of older versions did not tell oils apart, nor hold the machine's own.
+        data["balances"] = [_with_infinities({
+            "held": one["error"], "beside": one["scatter"]} | one) for one in data["balances"]]
+        data["stiffness"] = _with_infinities(data.get("stiffness") or asdict(UNKNOWN))
+        return TypeAdapter(Machine).validate_python(data)
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as problem:
         raise InputError(f"{path}: expected a machine, as `diagnose A B C --machine FILE` writes "
-                         f"it: {problem}") from problem
+                         f"it: {' '.join(str(problem).split())[:300]}") from problem
 
 
-def _read_stiffness(data: dict | None) -> Stiffness:
-    """Return what the file says of the oil; files before it was kept say nothing."""
-    if data is None:
-        return UNKNOWN
-    return Stiffness(*_numbers([data[key] for key in ("value", "between", "stddev")]),
-                     data["count"])
-
-
-def _read_balance(data: dict) -> MachineBalance:
-    made = dict(data)
-    made["parameters"] = tuple(
-        Parameter(**one | {"stddev": _numbers([one["stddev"]])[0]}) for one in data["parameters"])
-    made["settings"] = tuple(
-        Setting(**one | {"value": tuple(one["value"]), "stddev": _numbers(one["stddev"])})
-        for one in data["settings"])
-    made["regimes"] = tuple(Regime(**one) for one in data["regimes"])
-    made["named"] = tuple(Named(**one | {"terms": tuple(one["terms"]), "rivals": tuple(
-        one["rivals"])}) for one in data["named"])
-    made["refused"] = tuple(Refused(**one) for one in data["refused"])
-    for name in ("scatter", "beside"):
-        made[name] = Scatter(**{key: tuple(value) if isinstance(value, list) else value
-                                for key, value in data.get(name, data["scatter"]).items()})
-    made["steps"] = tuple(map(tuple, data["steps"]))
-    for name in ("each", "each_stddev"):
-        made[name] = tuple(map(_numbers, data[name]))
-    made.setdefault("held", data["error"])  # of a file before oils were told apart
-    for name in ("nominal", "error", "learned", "reference", "held", "forms", "levers"):
-        made[name] = _numbers(made.get(name, ()))
-    return MachineBalance(**made)
-
-
-def _numbers(row: Sequence) -> tuple:
-    return tuple(np.inf if value is None else value for value in row)
+def _with_infinities(tree):
+    """Return a tree with infinities for its nulls, as which they are written."""
+    if isinstance(tree, dict):
+        return {key: _with_infinities(value) for key, value in tree.items()}
+    if isinstance(tree, list):
+        return [_with_infinities(value) for value in tree]
+    return np.inf if tree is None else tree

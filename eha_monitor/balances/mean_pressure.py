@@ -16,7 +16,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from eha_monitor.balances.course import Course, has_flow
+from eha_monitor.balances.course import Course
 from eha_monitor.balances.policy import Policy
 from eha_monitor.mismatch.diagnosis import NamedEffect, RigFinding, Value
 from eha_monitor.physics.effects import CATALOGUE
@@ -42,7 +42,7 @@ def leak_or_source(courses: Sequence[Course], settings: Settings, displacement: 
     rig = settings.rig
     if not rig.makeup_conductance or not rig.charge_pressure or EFFECT in settings.effects:
         return None
-    if not displacement or not all(has_flow(course, rig) for course in courses):
+    if not displacement or not all(course.has_flow for course in courses):
         return None
     mean, piston, low = np.mean([_means(course, rig, displacement) for course in courses], axis=0)
     needed = mean + 0.5 * piston / rig.makeup_conductance
@@ -69,7 +69,7 @@ def leak_or_source(courses: Sequence[Course], settings: Settings, displacement: 
     size = 2.0 * rig.makeup_conductance * (rig.charge_pressure - needed) / head
     entry, value = CATALOGUE[EFFECT], Value(
         size, size * rig.tolerance.log_spread("makeup_conductance"), "m³/(s·Pa)")
-    if not value.value > policy.varied * value.stddev:
+    if not (value.value > 0.0 and policy.sure(value.value, value.stddev)):
         return source
     return NamedEffect(
         EFFECT, entry.balance, f"{said.format('below')}: a leak of both chambers to ambient", {

@@ -16,11 +16,11 @@ from eha_monitor.balances.alone import (
     Refused,
     alone,
     form_and_doubts,
-    from_absent,
     parameters_of,
 )
 from eha_monitor.balances.candidates import Candidate, Scale, candidates_of
 from eha_monitor.balances.course import Course
+from eha_monitor.balances.least_squares import from_absent
 from eha_monitor.balances.machine import MachineBalance, rms
 from eha_monitor.balances.policy import Policy
 from eha_monitor.balances.table import Table, nominal_of, pooled_table, tables_of

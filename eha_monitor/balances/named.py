@@ -74,7 +74,7 @@ def _dry_as_one(groups: dict[str, list[Term]], policy: Policy) -> dict[str, list
     stays = [t for t in terms if t.candidate.symbol == "F_c"]
     if not stays:
         return groups
-    sure = [t for t in falls if abs(t.value) > policy.varied * t.stddev]
+    sure = [t for t in falls if policy.sure(t.value, t.stddev)]
     name = (sure or [ties.best(stays, lambda t: abs(t.value))])[0].candidate.effect
     return {name: stays + sure, **{effect: terms for effect, terms in groups.items()
                                    if effect not in dry}}
@@ -230,7 +230,7 @@ def _within_tolerance(term: Term, rig: Rig, policy: Policy) -> bool:
 def _leaks_more(term: Term, policy: Policy) -> bool:
     """Tell whether the leakage that every model has is surely more than the config's."""
     return (term.candidate.name == "L" and term.candidate.always
-            and term.value > policy.varied * term.stddev)
+            and term.value > 0.0 and policy.sure(term.value, term.stddev))
 
 
 def wrong_numbers(model: Model, rig: Rig, policy: Policy) -> list[RigFinding]:

@@ -27,7 +27,6 @@ from eha_monitor.balances.course import (
     BAND,
     Course,
     course_of,
-    of_filled,
     slope,
 )
 from eha_monitor.balances.together import pooled
@@ -124,15 +123,14 @@ def compressibility(course: Course, rig: Rig) -> Term | None:
         return None
     flow, (pump, leakage, _) = columns
     leakage = (*leakage[:3], 0, leakage[4])  # beside the config's it may be less
-    stroke, ratio = course.known["stroke"], rig.area_2 / rig.area_1
+    stroke = course.known["stroke"]
     flow = flow - course.known["flow"] - stroke / rig.bulk_modulus
-    oil = stroke + of_filled(rig.volume_1 * course.rate_1, -rig.volume_2 * course.rate_2 / ratio,
-                             course, rig)
+    oil = stroke + course.of_filled(rig.volume_1 * course.rate_1,
+                                     -rig.volume_2 * course.rate_2 / course.ratio)
     ways = [oil]
     play = slope(course.direction, course.dt)
     if not np.any(stroke):
-        ways.append(oil + rig.area_1 * course.x * of_filled(course.rate_1, course.rate_2, course,
-                                                            rig))
+        ways.append(oil + rig.area_1 * course.x * course.of_filled(course.rate_1, course.rate_2))
     found: list[BalanceFit] = []
     for taken in ways:
         if _own(course, taken, np.column_stack([pump[4], leakage[4]])) < CLEAR * (

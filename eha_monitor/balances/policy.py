@@ -2,6 +2,9 @@
 
 from dataclasses import asdict, dataclass
 
+import numpy as np
+from scipy.special import ndtr
+
 
 @dataclass(frozen=True)
 class Policy:
@@ -33,8 +36,8 @@ class Policy:
     odd : robust deviations beyond which a recording does not belong.  Definition.
     varied : deviations by which two numbers differ: a load that was varied (and by a fifth of
         its size), a number of the config that is wrong, a term that is there.  Definition.
-    open : share of the signal that an answer may leave; beyond it nothing is named.  Definition:
-        half.
+    open : share that an answer may leave: of the signal, else nothing is named; of an error, else
+        it is not explained.  Definition: half.
     clean : times what the sensors alone leave: such a balance is closed.  Derived: the scatter of
         some hundred correlated samples.
     false : share of healthy recordings that may be called changed.  Definition.
@@ -66,6 +69,33 @@ class Policy:
     fewest: int = 3
     coherent: float = 0.5
     near: float = 0.25
+
+    def sure(self, value: float, stddev: float) -> bool:
+        """Tell whether a number is surely not 0."""
+        return bool(abs(value) > self.varied * stddev)
+
+    @property
+    def owed(self) -> float:
+        """How far from absent a name of one recording is, in standard deviations.
+
+        It is of the machine, so it holds on another day: what is surely absent there, ``varied``
+        deviations of the difference of two days, is no name here.
+        """
+        return float(np.sqrt(2.0) * self.varied)
+
+    def probability(self, frequency: float, apart: float) -> float:
+        """Return how surely a name comes back on another day.
+
+        Parameters
+        ----------
+        frequency : share of the halves in which it comes up.
+        apart : deviations of this day's value from absent; another day's differs by both days'
+            own, and is there where it is ``varied`` of them from absent by itself.
+        """
+        half = 0.5 / self.halves
+        odds = np.log((frequency + half) / (1.0 - frequency + half))
+        return min(float(1.0 / (1.0 + np.exp(-self.slope * odds))), self.certain,
+                   float(ndtr((apart - self.varied) / np.sqrt(2.0))))
 
     def to_dict(self) -> dict:
         """Return the JSON form, key ``policy``."""

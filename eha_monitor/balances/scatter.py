@@ -14,9 +14,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import stdtrit
 
+from eha_monitor.balances.least_squares import weights_of
 from eha_monitor.balances.policy import Policy
 from eha_monitor.balances.table import Table
-from eha_monitor.balances.together import minimum_norms, without
+from eha_monitor.balances.together import without
 
 NOTHING: Mapping[str, float] = {}
 ANSWERS = 0.01  # of the usual power: a recording that answers less says nothing of a term
@@ -41,41 +42,31 @@ class Amplitudes:
     response: np.ndarray
     left: float
 
-    def with_others(self, oil: Mapping[str, float], mean: Sequence[float], most: float
-                    ) -> tuple[np.ndarray, np.ndarray]:
-        """Return by how much each term has moved and the squares that are gone with it, (k,) each.
+    def gone_with(self, oil: Mapping[str, float], most: float, i: int | None = None,
+                  mean: float = 0.0) -> tuple[float, float]:
+        """Return by how much a term has moved beside the oil, and the squares gone with both.
 
         Parameters
         ----------
-        oil : parameters that move beside it, by ``most`` of their spreads.
-        mean : (k,) amplitudes of healthy recordings.
+        oil : parameters that move by ``most`` of their spreads.
+        i : place of the term; without it the oil moves alone.
+        mean : amplitude of healthy recordings.
         """
-        products, side = self.response * self.power[:, None], self.value * self.power
-        amount, gone = self.value - np.array(mean), np.full(len(side), -np.inf)
-        for i in range(len(side)):
-            more = [self.names.index(name) for name in oil
-                    if name in self.names and name != self.names[i]]
-            own = [i, *more]
-            inner = products[np.ix_(own, own)]
-            if not np.isfinite(inner).all() or not inner[0, 0] > 0.0:
-                continue
-            w = minimum_norms(inner, side[own][:, None])[:, 0]
-            limit = most * np.array([oil[self.names[j]] for j in more])
-            w[1:] = np.clip(w[1:], -limit, limit)
-            w[0] = (side[i] - inner[0, 1:] @ w[1:]) / inner[0, 0] - mean[i]
-            amount[i], gone[i] = w[0], 2.0 * w @ side[own] - w @ inner @ w
-        return amount, gone
-
-    def gone_with(self, oil: Mapping[str, float], most: float) -> float:
-        """Return the squares that are gone with these parameters alone, by ``most`` spreads."""
-        own = [self.names.index(name) for name in oil if name in self.names]
+        more = [self.names.index(name) for name in oil
+                if name in self.names and (i is None or name != self.names[i])]
+        own = more if i is None else [i, *more]
         if not own:
-            return 0.0
-        inner = (self.response * self.power[:, None])[np.ix_(own, own)]
-        side, limit = (self.value * self.power)[own], most * np.array(
-            [oil[self.names[i]] for i in own])
-        w = np.clip(minimum_norms(inner, side[:, None])[:, 0], -limit, limit)
-        return max(float(2.0 * w @ side - w @ inner @ w), 0.0)
+            return 0.0, 0.0
+        inner, side = self.response[np.ix_(own, own)] * self.power[own, None], (
+            self.value * self.power)[own]
+        if i is not None and not (np.isfinite(inner).all() and inner[0, 0] > 0.0):
+            return float(self.value[i] - mean), -np.inf
+        w = weights_of(inner, side)
+        limit = most * np.array([oil[self.names[j]] for j in more])
+        w[len(own) - len(more) :] = np.clip(w[len(own) - len(more) :], -limit, limit)
+        if i is not None:
+            w[0] = (side[0] - inner[0, 1:] @ w[1:]) / inner[0, 0] - mean
+        return float(w[0]), float(2.0 * w @ side - w @ inner @ w)
 
     def moved(self, place: int, amount: float) -> "Amplitudes":
         """Return what is left once a term has moved."""

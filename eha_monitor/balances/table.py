@@ -7,8 +7,8 @@ from functools import cached_property
 import numpy as np
 
 from eha_monitor.balances.candidates import Candidate
-from eha_monitor.balances.course import Course, pumped_side, slope
-from eha_monitor.balances.least_squares import independent, minimum_norm, signed_solution
+from eha_monitor.balances.course import Course, slope
+from eha_monitor.balances.least_squares import independent, signed_solution, weights_of
 from eha_monitor.balances.policy import Policy
 from eha_monitor.settings.rig import Rig
 
@@ -109,9 +109,7 @@ class Table:
     @cached_property
     def full(self) -> tuple[float, float]:
         """RMS of what all candidates together leave, and how many of its samples count as one."""
-        products = self.gram[1:, 1:]
-        size = np.sqrt(np.maximum(np.diag(products), 1e-300))
-        w = minimum_norm(products / np.outer(size, size), self.gram[1:, 0] / size) / size
+        w = weights_of(self.gram[1:, 1:], self.gram[1:, 0])
         left = np.where(self.good, self.rows[:, 0] - self.rows[:, 1:] @ w, np.nan)
         return float(np.sqrt(np.nanmean(left**2))), independent(left)
 
@@ -213,7 +211,7 @@ def doubts_of(course: Course, rig: Rig, balance: str, whole: np.ndarray) -> list
         found.append(rig.tolerance.log_spread("area_2") * rig.area_2 * course.p2)
     if balance == "flow" and rig.area_2 != rig.area_1:
         found.append(rig.tolerance.log_spread("area_2") * np.where(
-            pumped_side(course, rig) < 0.0, whole, 0.0))
+            course.pumped_side < 0.0, whole, 0.0))
     return found
 
 

@@ -10,7 +10,7 @@ the rest.  A term enters with the largest mean of d_i = ln(e_i / e_i with it), i
 ``gain`` at least with a t of ``repeats``; then all terms are tried for removal by the same rule.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,8 +19,8 @@ from eha_monitor.balances.candidates import founded
 from eha_monitor.balances.least_squares import (
     independent,
     inverse_of,
-    minimum_norm,
     signed_solution,
+    weights_of,
 )
 from eha_monitor.balances.policy import Policy
 from eha_monitor.balances.table import Table
@@ -130,33 +130,31 @@ class Recordings:
         total = sum(reduced)
         return signed_solution(total[1:, 1:], total[1:, 0], signs), reduced
 
-    def errors(self, names: Iterable[str]) -> np.ndarray:
-        """Return the error of each recording left out, (r,) over its standard deviation."""
+    def without_each(self, names: Iterable[str]
+                     ) -> Iterator[tuple[Table, list[int], list[int], np.ndarray]]:
+        """Yield each recording with the columns and the fit of the machine to all others."""
         names = list(names)
         shared, settings, signs = self.split(names)
         _, reduced = self.shared_fit(names)
-        total, found = sum(reduced), np.empty(len(self.tables))
-        for i, (table, own) in enumerate(zip(self.tables, reduced, strict=True)):
+        total = sum(reduced)
+        for table, own in zip(self.tables, reduced, strict=True):
             rest = total - own
-            w = signed_solution(rest[1:, 1:], rest[1:, 0], signs)
-            found[i] = unseen(table, shared, settings, w)
-        return found
+            yield table, shared, settings, signed_solution(rest[1:, 1:], rest[1:, 0], signs)
+
+    def errors(self, names: Iterable[str]) -> np.ndarray:
+        """Return the error of each recording left out, (r,) over its standard deviation."""
+        return np.array([unseen(*one) for one in self.without_each(names)])
 
     def left_out(self, names: Iterable[str]) -> list[np.ndarray]:
         """Return what is left of each recording under the fit to the others, (m,) each.
 
         Its settings are fitted on every other pair of blocks and applied to the rest.
         """
-        shared, settings, signs = self.split(names)
-        _, reduced = self.shared_fit(names)
-        total, found = sum(reduced), []
-        for table, own in zip(self.tables, reduced, strict=True):
-            rest = total - own
-            w = signed_solution(rest[1:, 1:], rest[1:, 0], signs)
-            first = np.arange(len(table.blocks)) // 2 % 2 == 0
-            numbers, left = np.unique(table.block[table.good]), np.zeros(len(table.rows))
+        found = []
+        for table, shared, settings, w in self.without_each(names):
+            first, left = table.first_half, np.zeros(len(table.rows))
             for (fit, judge), which in ((table.halves, ~first), (table.halves[::-1], first)):
-                here = np.isin(table.block, numbers[which])
+                here = np.isin(table.block, table.numbers[which])
                 left[here] = table.rows[here] @ crosswise(table, fit, judge, shared, settings, w)
             found.append(left)
         return found
@@ -344,21 +342,8 @@ def without(gram: np.ndarray, kept: list[int], out: list[int],
         return inner
     across = gram[np.ix_(out, kept)]
     own = gram[np.ix_(out, out)]
-    return inner - across.T @ minimum_norms(
+    return inner - across.T @ weights_of(
         own if ridge is None else own + np.diag(ridge[out]), across)
-
-
-def minimum_norms(gram: np.ndarray, sides: np.ndarray) -> np.ndarray:
-    """Return :func:`minimum_norm` for several sides, (k, s), whatever the columns' units."""
-    size = np.sqrt(np.maximum(np.diag(gram), 1e-300))
-    scaled, sides = gram / np.outer(size, size), sides / size[:, None]
-    try:
-        factor = np.linalg.cholesky(scaled)
-        if np.diag(factor).min() > 1e-4:
-            return np.linalg.solve(scaled, sides) / size[:, None]
-    except np.linalg.LinAlgError:
-        pass
-    return np.column_stack([minimum_norm(scaled, side) for side in sides.T]) / size[:, None]
 
 
 def setting_of(table: Table, shared: list[int], settings: list[int], w: np.ndarray
@@ -368,7 +353,7 @@ def setting_of(table: Table, shared: list[int], settings: list[int], w: np.ndarr
         return np.zeros(0), np.zeros(0)
     mixture = _mixture(table, shared, w)
     inner = table.gram[np.ix_(settings, settings)]
-    t = minimum_norms(inner, (table.gram[settings] @ mixture)[:, None])[:, 0]
+    t = weights_of(inner, table.gram[settings] @ mixture)
     mixture[settings] = -t
     left = np.where(table.good, table.rows @ mixture, np.nan)
     return t, np.sqrt(np.diag(inverse_of(inner)) * float(np.nanmean(left**2)) * independent(left))
@@ -396,6 +381,6 @@ def crosswise(table: Table, fit: np.ndarray, judge: np.ndarray, shared: list[int
     mixture = _mixture(table, shared, w)
     if settings:
         part = fit + SOFT * judge
-        mixture[settings] = -minimum_norms(part[np.ix_(settings, settings)],
-                                           (part[settings] @ mixture)[:, None])[:, 0]
+        mixture[settings] = -weights_of(part[np.ix_(settings, settings)],
+                                        part[settings] @ mixture)
     return mixture

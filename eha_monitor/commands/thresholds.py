@@ -2,7 +2,6 @@
 
 import math
 import shlex
-from dataclasses import asdict
 from pathlib import Path
 
 import click
@@ -214,7 +213,7 @@ def _tree(proposals, told, seconds, given) -> dict:
 
     return finite({"schema": SCHEMA, "recording_s": seconds,
                    "notes": _sentences(proposals, told, seconds, given),
-                   "proposals": {one.symbol: asdict(one) for one in proposals}})
+                   "proposals": {one.symbol: one for one in proposals}})
 
 
 def _config(proposals, settings, config, seconds: float) -> str:

@@ -7,9 +7,17 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from eha_monitor.dashboard import acknowledged
-from eha_monitor.dashboard.acknowledged import Acknowledgement
-from eha_monitor.dashboard.events import ACKNOWLEDGED, Change, EventLog, changes, diagnosis_changes
+from eha_monitor.dashboard.events import (
+    ACKNOWLEDGED,
+    Acknowledgement,
+    Change,
+    EventLog,
+    acknowledgements,
+    changes,
+    diagnosis_changes,
+    since,
+    write_acknowledgements,
+)
 from eha_monitor.dashboard.history import History, LongHistory, Row
 from eha_monitor.errors import InputError
 from eha_monitor.health.alarms import ALARM_NAMES, SEVERITY, WATCHED
@@ -119,7 +127,7 @@ class State:
             **{stage: LongHistory(ESTIMATES_SPAN, ESTIMATES_EVERY, HEALTH_STALE_AFTER, LONG_SPAN,
                                   STRETCH) for stage in STAGES}}
         if file is not None:
-            self._try(lambda: self._before.update(acknowledged.read(file)))
+            self._try(lambda: self._before.update(acknowledgements(file)))
 
     def take_value(self, symbol: str, value: float, now: float) -> None:
         """Take an estimate of ``B`` or ``beta_e``, SI; ``now`` in s, monotonic."""
@@ -210,7 +218,7 @@ class State:
                         name in self._acknowledged):
                     continue
                 self._acknowledged[name] = Acknowledgement(
-                    who, self._wall_clock(), finding.word, acknowledged.since(finding))
+                    who, self._wall_clock(), finding.word, since(finding))
                 self._note(Change("acknowledged", finding.word,
                                   f"{name.replace('_', ' ').capitalize()}: {finding.word} "
                                   f"acknowledged by {who}"))
@@ -236,7 +244,8 @@ class State:
 
     def _keep(self) -> None:
         if self._file is not None:
-            self._try(lambda: acknowledged.write(self._file, self._before | self._acknowledged))
+            given = self._before | self._acknowledged
+            self._try(lambda: write_acknowledgements(self._file, given))
 
     def _try(self, work: Callable[[], None]) -> None:
         """Do something with the file; where that fails, the page goes on without."""

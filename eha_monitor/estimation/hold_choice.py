@@ -39,6 +39,7 @@ from eha_monitor.physics.contributions import circuit_of
 from eha_monitor.physics.effects import NAMES
 from eha_monitor.physics.parameters import theta_of
 from eha_monitor.recordings.columns import let_go, mapped
+from eha_monitor.recordings.grid import filled
 from eha_monitor.recordings.recording import ChannelFinding, Recording
 from eha_monitor.settings.monitor import Settings
 
@@ -575,11 +576,9 @@ def open_input(recorded: dict, channels: dict, noise: dict, settings: Settings, 
     made = drive_input(model, recorded, channels, noise, dt).hold
     lines = []
     for line in (made.start, made.end):
-        good = np.isfinite(line)
-        if good.sum() < FEWEST:
+        if np.isfinite(line).sum() < FEWEST:
             return None
-        index = np.arange(len(line))
-        lines.append(np.interp(index, index[good], line[good]))
+        lines.append(filled(line))
     return made._replace(start=lines[0], end=lines[1])
 
 
@@ -618,11 +617,9 @@ def friction_of(x: np.ndarray, force: np.ndarray, settings: Settings, dt: float,
     from scipy.optimize import nnls
     from scipy.signal import savgol_filter
 
-    rig, index = settings.rig, np.arange(len(x))
-    good = np.isfinite(x)
+    rig, whole = settings.rig, filled(x)
     window = max(SMOOTHED, round(SMOOTH_S / dt) // 2 * 2 + 1)
-    filled = np.interp(index, index[good], x[good])
-    v, a = (savgol_filter(filled, window, CUBIC, deriv=order, delta=dt) for order in (1, 2))
+    v, a = (savgol_filter(whole, window, CUBIC, deriv=order, delta=dt) for order in (1, 2))
     highest = max(float(np.abs(v).max()), 1e-12)
     columns = np.column_stack([np.ones(len(v)), v / highest, np.tanh(v / (CREEP * highest)),
                                v * np.abs(v / highest) / highest][: 2 + terms])

@@ -13,6 +13,7 @@ from eha_monitor.physics import signals as s
 from eha_monitor.physics.contributions import circuit_of, slot_of, with_term, with_update
 from eha_monitor.physics.effects import CATALOGUE, NAMES
 from eha_monitor.physics.parameters import place_of, theta_of
+from eha_monitor.recordings.grid import filled
 from eha_monitor.settings.monitor import Settings
 from eha_monitor.settings.rig import Rig
 
@@ -145,14 +146,11 @@ def mean_pressure(channels: dict[str, np.ndarray], rig: Rig) -> np.ndarray:
         ratio = 1.0 if None in (rig.area_1, rig.area_2) else rig.area_1 / rig.area_2
         return np.array([0.5 * rig.charge_pressure * (1.0 + ratio)])
     mean = 0.5 * (channels["p1"] + channels["p2"])
-    good = np.isfinite(mean)
-    if not good.any():
+    if not np.isfinite(mean).any():
         return np.full(len(mean), rig.charge_pressure)
     window = np.ones(2 * SMOOTHED) / (2 * SMOOTHED)
-    index = np.arange(len(mean))
-    filled = np.interp(index, index[good], mean[good])
-    padded = np.concatenate([filled[:1].repeat(SMOOTHED), filled,
-                             filled[-1:].repeat(SMOOTHED - 1)])
+    mean = filled(mean)
+    padded = np.concatenate([mean[:1].repeat(SMOOTHED), mean, mean[-1:].repeat(SMOOTHED - 1)])
     return np.convolve(padded, window, mode="valid")
 
 

@@ -27,6 +27,7 @@ from eha_monitor.physics.excitation import demanded_position, total_duration
 from eha_monitor.physics.own_term import BALANCES
 from eha_monitor.physics.parameters import theta_of
 from eha_monitor.quantity import quantity
+from eha_monitor.recordings.grid import filled
 from eha_monitor.recordings.recording import Recording
 
 _LONG_AGO = -1e9  # m: a seal that has slid so far has its steady force
@@ -331,10 +332,8 @@ def velocity_of(recording: Recording) -> np.ndarray:
     half = max(2, round(0.5 * DERIVATIVE / recording.sample_time))
     if len(x) <= 2 * half:
         return np.zeros(0)
-    good = np.isfinite(x)
-    whole = np.interp(np.arange(len(x)), np.flatnonzero(good), x[good])
-    rate = savgol_filter(whole, 2 * half + 1, 2, deriv=1, delta=recording.sample_time)
-    return np.where(good, rate, np.nan)
+    rate = savgol_filter(filled(x), 2 * half + 1, 2, deriv=1, delta=recording.sample_time)
+    return np.where(np.isfinite(x), rate, np.nan)
 
 
 def covered_seconds(velocity: np.ndarray, seen: Sequence[np.ndarray],

@@ -11,9 +11,15 @@ import numpy as np
 
 from eha_monitor.balances.parameters import parameters_of
 from eha_monitor.breakdown import begins_anew
-from eha_monitor.estimation.inputs import Known, StageInputs, position_variance, quantum_of
+from eha_monitor.estimation.inputs import (
+    REST_S,
+    Known,
+    StageInputs,
+    position_variance,
+    quantum_of,
+    resting,
+)
 from eha_monitor.estimation.model_watch import beyond, ranges_of, within
-from eha_monitor.estimation.rest import REST_S, resting
 from eha_monitor.estimation.results import (
     LOOK_S,
     ONE,

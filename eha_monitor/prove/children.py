@@ -1,5 +1,7 @@
-"""The processes of a trial: each question is answered by one, on cores of its own."""
+"""The processes of a trial: each question is answered by one, on cores of its own; its files."""
 
+import hashlib
+import json
 import os
 import subprocess
 import sys
@@ -11,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from eha_monitor.compiled import FIRST_RUN
-from eha_monitor.prove.files import read_json, write_json
+from eha_monitor.output import write_text
 
 PACKAGE = Path(__file__).parents[1]
 LONGEST = 1800.0  # s that a diagnosis may take
@@ -110,3 +112,22 @@ def kept(questions: Questions, name: str, keep: str) -> bool:
             keep == "same" and run.get("source") != questions.source):
         return False
     return read_json(questions.folder / f"{name}.json") is not None
+
+
+def digest_of(content: bytes) -> str:
+    """Return the SHA-256 in hexadecimal."""
+    return hashlib.sha256(content).hexdigest()
+
+
+def read_json(path: Path) -> dict | None:
+    """Return what a JSON file holds; None where there is none that can be read."""
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+    return found if isinstance(found, dict) else None
+
+
+def write_json(path: Path, content: dict) -> None:
+    """Write a JSON file whole."""
+    write_text(path, json.dumps(content, indent=1, ensure_ascii=False) + "\n")

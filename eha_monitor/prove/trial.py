@@ -29,8 +29,7 @@ from eha_monitor.concealed.draws import SETS, draw_cases, misconfigured
 from eha_monitor.errors import InputError
 from eha_monitor.output import source_digest as digest_of_source
 from eha_monitor.prove import score
-from eha_monitor.prove.children import Questions, children, kept
-from eha_monitor.prove.files import digest_of, read_json, write_json
+from eha_monitor.prove.children import Questions, children, digest_of, kept, read_json, write_json
 from eha_monitor.settings.monitor import Settings
 
 DRAWS = ("mixed", "outside")

@@ -6,7 +6,7 @@ import numpy as np
 
 from eha_monitor.mismatch.diagnosis import Curve as MissingTerm
 from eha_monitor.mismatch.diagnosis import Diagnosis, Location, NamedEffect
-from eha_monitor.prove.files import read_json
+from eha_monitor.prove.children import read_json
 from eha_monitor.prove.score import MARKS, UNEXPLAINED, number_of, wilson
 from eha_monitor.prove.trial import misses
 from eha_monitor.quantity import number
