@@ -195,8 +195,12 @@ def test_dry_friction_of_any_shape_is_told_as_a_force(settings):
     assert 180.0 < change.reference.value < 250.0  # with what of the rise the motion shows
 
 
-def test_behind_check_valves_the_filled_chamber_is_compressed():
-    """Equal areas, the lower pressure held at the source's: known motion, flow by its equation."""
+@pytest.mark.parametrize("play", [0.0, 2.5e-4])
+def test_behind_check_valves_the_filled_chamber_is_compressed(play):
+    """Equal areas, the lower pressure held at the source's: known motion, flow by its equation.
+
+    With play the sensor is dragged: what it misses at each reversal is no soft oil.
+    """
     area, volume, beta, pump = 1.3e-3, 2.2e-4, 1.1e9, 1e-6
     config = settings_from_tree({"rig": {
         "area_1": area, "area_2": area, "volume_1": volume, "volume_2": volume, "mass": 100.0,
@@ -211,12 +215,16 @@ def test_behind_check_valves_the_filled_chamber_is_compressed():
     p1, p2 = (1.3e6 + np.where(way * force > 0.0, head, 0.0) for way in (1.0, -1.0))
     oil = np.sign(force) * volume / beta * np.gradient(head, t)
     omega = (area * v + oil) / pump
+    shown = x.copy()
+    for i in range(1, len(x)):
+        shown[i] = min(max(shown[i - 1], x[i] - 0.5 * play), x[i] + 0.5 * play)
     noise = {"x": 1e-6, "omega": 1e-2, "p1": 500.0, "p2": 500.0}
     recording = Recording(1e-3, {name: values + noise[name] * rng.standard_normal(len(t))
-                                 for name, values in (("x", x), ("omega", omega), ("p1", p1),
+                                 for name, values in (("x", shown), ("omega", omega), ("p1", p1),
                                                       ("p2", p2))})
     found = compressibility(course_of(recording, config), config.rig)
-    assert abs(found.value - 1.0 / beta) < 2.0 * found.stddev < 0.4 / beta
+    assert found.value == pytest.approx(1.0 / beta, rel=0.1)
+    assert abs(found.value - 1.0 / beta) < 2.0 * found.stddev
 
 
 def test_more_friction_at_another_damping_is_more_friction(settings):

@@ -23,6 +23,7 @@ from eha_monitor.balances.baseline import (
     flow_columns,
     force_fit,
 )
+from eha_monitor.balances.candidates import swallowed
 from eha_monitor.balances.course import (
     BAND,
     Course,
@@ -114,9 +115,9 @@ def compressibility(course: Course, rig: Rig) -> Term | None:
     """Return 1/beta_e; its deviation holds how far channels that are late move it.
 
     A position that is late by tau adds tau A x'' to the flow, which resembles the oil's part; so
-    does play in its coupling, at each reversal, and at one speed what a pump loses in either
-    direction.  The volumes are the config's, or change over the stroke as the areas say, whichever
-    fits better.
+    does at one speed what a pump loses in either direction.  The volumes are the config's, or
+    change over the stroke as the areas say; and the position sensor has play or not: whichever
+    fits unseen parts best.
     """
     columns = flow_columns(course, rig)
     if columns is None or not (rig.volume_1 and rig.volume_2) or "flow" not in course.known:
@@ -128,19 +129,21 @@ def compressibility(course: Course, rig: Rig) -> Term | None:
     oil = stroke + course.of_filled(rig.volume_1 * course.rate_1,
                                      -rig.volume_2 * course.rate_2 / course.ratio)
     ways = [oil]
-    play = slope(course.direction, course.dt)
     if not np.any(stroke):
         ways.append(oil + rig.area_1 * course.x * course.of_filled(course.rate_1, course.rate_2))
+    play = ("b", "m", "play before the position sensor", 1, swallowed(course, rig))
     found: list[BalanceFit] = []
     for taken in ways:
         if _own(course, taken, np.column_stack([pump[4], leakage[4]])) < CLEAR * (
                 rig.volume_1 * course.sensors["p"] * course.passed[1]):
             continue
-        fit = fitted(course, course.counted("flow"), flow, (
-            pump, leakage, ("1/beta_e", "1/Pa", "compressibility", 1, -taken)),
-            (course.a, course.direction, np.ones(len(course)), play))
-        if fit is not None and fit["1/beta_e"].determined:
-            found.append(fit)
+        for more in ((), (play,)):
+            fit = fitted(course, course.counted("flow"), flow, (
+                pump, leakage, ("1/beta_e", "1/Pa", "compressibility", 1, -taken), *more),
+                (course.a, course.direction, np.ones(len(course))))
+            if fit is not None and fit["1/beta_e"].determined and (
+                    not more or fit["b"].determined):
+                found.append(fit)
     best = min(found, key=lambda fit: fit.error_share, default=None)
     return None if best is None else best["1/beta_e"]
 
