@@ -243,6 +243,9 @@ def gauge(moments: Moments, settings: Settings) -> tuple[ChannelFinding, ...]:
     elif rig.area_1 == rig.area_2 and abs(off - 1.0) < AS_GAUGE:
         why = (f"their mean is {middle / 1e5:.2f} bar, {off * ATMOSPHERE / 1e5:.2f} bar below "
                f"the charge pressure of {rig.charge_pressure / 1e5:.2f} bar")
+        if rig.tolerance.log_spread("charge_pressure") * rig.charge_pressure > ATMOSPHERE:
+            why += ("; or they are absolute and so much lower is the charge pressure, within its "
+                    "tolerance")
     if not why:
         return ()
     channels = {name: {"offset": settings.channels[name].offset
