@@ -451,7 +451,7 @@ def test_a_machine_without_a_pump_is_not_asked_for_one(tmp_path, capsys, machine
 
 @pytest.mark.parametrize(("more", "unit", "said"), [
     ((), "bar gauge", "is not below 1 bar"),
-    (("pressures=absolute",), "bar", "are these gauge pressures"),
+    (("pressures=absolute",), "bar absolute", "are these gauge pressures"),
     (("pressures=gauge",), "bar gauge", "answered"),
 ])
 def test_pressures_below_the_open_air_are_no_absolute_ones(tmp_path, capsys, more, unit, said):
@@ -462,6 +462,27 @@ def test_pressures_below_the_open_air_are_no_absolute_ones(tmp_path, capsys, mor
     assert status == 0
     assert load_settings("my_rig.yaml").table.columns["p1"].unit == unit
     assert said in Path("my_rig.yaml").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize(("answer", "unit"), [
+    ("absolute", "bar absolute"), ("gauge", "bar gauge"), (None, "bar gauge")])
+def test_an_answer_stands_whatever_the_pressures_look_like(tmp_path, capsys, answer, unit):
+    """Their mean is one atmosphere below the charge pressure, as that of gauge pressures is."""
+    lower = {f"Druck {one} [bar]": (SEEN[key] - 101_325.0) * 1e-5
+             for one, key in (("A", "p1"), ("B", "p2"))}
+    status, out, _ = init(capsys, german(tmp_path / "a.csv", **lower), "--yes", *sets(
+        *SHEET, *([f"pressures={answer}"] if answer else [])))
+    assert status == 0
+    columns = load_settings("my_rig.yaml").table.columns
+    assert [columns[name].unit for name in ("p1", "p2")] == [unit, unit]
+    assert ("look like gauge pressures" in " ".join(out.split())) == (answer != "gauge")
+
+
+def test_an_answer_holds_for_a_bag_whose_messages_name_no_unit(tmp_path, capsys):
+    status, *_ = init(capsys, ROOT / "bags" / "hidden_friction", "--yes",
+                      *sets(*SHEET, "pressures=gauge"))
+    assert status == 0
+    assert load_settings("my_rig.yaml").channels["p1"].zero == 101_325.0
 
 
 def test_full_scales():
