@@ -300,7 +300,10 @@ def _charge(answers: Answers, seen: Seen, *areas: Entry) -> Entry:
 
 
 def effects_of(answers: Answers, entries: list[Entry], seen: Seen) -> list[Entry]:
-    """Return the lines of ``effects``: the load that was answered, volumes that change with x.
+    """Return the lines of ``effects``: a constant load, a spring, volumes that change with x.
+
+    F = A1 p1 - A2 p2 is of absolute pressures, so what the open air does to the rod's own end,
+    p_a (A1 - A2) against growing x, is a load, whatever zero the sensors have.
 
     Raises
     ------
@@ -316,10 +319,15 @@ def effects_of(answers: Answers, entries: list[Entry], seen: Seen) -> list[Entry
                      if entry.key in ("area_1", "area_2", "volume_1", "volume_2", "mass")}
     load, slope, spring = (answers.rig.get("load"), answers.number("inclination"),
                            answers.number("spring"))
-    if load == "gravity" and slope is not None and "mass" in answers.rig:
-        weight = of["mass"] * GRAVITY * sin(slope)
-        found.append(Entry("constant_load", f"{{F_0: {number(weight)}}}", "answered: weight of "
-                           f"the mass at {answers.rig['inclination']}, N against growing x"))
+    weight = (of["mass"] * GRAVITY * sin(slope)
+              if load == "gravity" and slope is not None and "mass" in answers.rig else 0.0)
+    air = 0.0 if turns else _open_air(answers, of["area_1"], of["area_2"])
+    if weight or air:
+        words = [f"weight of the mass at {answers.rig['inclination']}"] if weight else []
+        words += [f"what the open air does to the rod's end, p_a (A1 - A2) = {air:.4g} N"
+                  ] if air else []
+        found.append(Entry("constant_load", f"{{F_0: {number(weight + air)}}}",
+                           f"answered: {' and '.join(words)}, N against growing x"))
     if load == "spring" and spring:
         rest = answers.number("spring_rest") or 0.0
         found.append(Entry("spring_load", f"{{k: {number(spring)}, x_0: {number(rest)}}}",
@@ -334,6 +342,15 @@ def effects_of(answers: Answers, entries: list[Entry], seen: Seen) -> list[Entry
         found.append(Entry("position_dependent_volume", f"{{A_v: {number(slope)}}}", f"{who}: x = "
                            "0 is at an end; the volumes above hold there and change with x"))
     return found
+
+
+def _open_air(answers: Answers, area_1: float | None, area_2: float | None) -> float:
+    """Return p_a (A1 - A2), N; nothing where an area is not known."""
+    if not area_1 or not area_2:
+        return 0.0
+    ambient = answers.number("ambient_pressure")
+    return (Rig.model_fields["ambient_pressure"].default if ambient is None else ambient) * (
+        area_1 - area_2)
 
 
 def tolerances(entries: list[Entry]) -> list[Entry]:
