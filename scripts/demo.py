@@ -67,6 +67,9 @@ class Children:
 
     def finish(self) -> None:
         """Wait until all have ended by themselves; raise DemoFailed if one did so badly."""
+        if any(child.poll() is None for child in self._running.values()):
+            print("   The rest of the model is still being compiled, once (half a minute to some "
+                  "minutes) ...", flush=True)
         for child in self._running.values():
             child.wait()
         self.check()

@@ -336,11 +336,13 @@ def effects_of(answers: Answers, entries: list[Entry], seen: Seen) -> list[Entry
     zero, who = zero_of(answers, seen)
     shrinking = of["volume_1" if zero == "extended" else "volume_2"]
     if zero != "middle" and shrinking and of["area_1"] and not answers.lacks("volume_1"):
-        # One area for both chambers; of a single rod the mean, as long as oil is left at the end.
         reach = max(map(abs, seen.span)) if seen.span else answers.number("stroke") or 1.0
-        slope = min(0.5 * (of["area_1"] + of["area_2"]), 0.8 * shrinking / reach)
-        found.append(Entry("position_dependent_volume", f"{{A_v: {number(slope)}}}", f"{who}: x = "
-                           "0 is at an end; the volumes above hold there and change with x"))
+        ratio = (of["area_2"] or of["area_1"]) / of["area_1"]
+        shrinks = 1.0 if zero == "extended" else ratio  # of A_v, how fast that chamber does
+        slope = min(of["area_1"], 0.98 * shrinking / (reach * shrinks))  # some oil is left
+        own = "" if ratio == 1.0 else f", r: {number(ratio)}"
+        found.append(Entry("position_dependent_volume", f"{{A_v: {number(slope)}{own}}}", f"{who}: "
+                           "x = 0 is at an end; the volumes above hold there and change with x"))
     return found
 
 
