@@ -18,8 +18,9 @@ TURNING = {"m": "rad", "m²": "m³/rad", "kg": "kg·m²", "N·s/m": "N·m·s/rad
 _REV = re.compile(r"(?<=/)\s*rev\b")  # as pumps are sold: 1.6 cm^3/rev
 
 # A number and a unit that says what it is counted from.
-_ABOVE_VACUUM = re.compile(r"^\s*([-+]?[\d.]+(?:e[-+]?\d+)?)\s*((?:bar|mbar|kPa|MPa|Pa|psi)"
-                           r"[\s_(]*(?:gauge|g|absolute|abs|a)\)?)\s*$", re.IGNORECASE)
+_ABOVE_VACUUM = re.compile(r"^(.*\d\s*(?:bar|mbar|kPa|MPa|Pa|psi))[\s_(]*"
+                           r"(gauge|g|absolute|abs|a)\)?\s*$")
+ATMOSPHERE = 101_325.0  # Pa; what a gauge pressure is counted from
 
 LARGEST = 1e18  # no quantity of a rig in SI units is larger; squares stay finite
 
@@ -44,15 +45,13 @@ def to_si(value: Any, unit: str, absolute: bool = False) -> Any:
     import pint  # slow to import, and needed only where a config writes units
 
     registry = pint.get_application_registry()
+    zero = 0.0
     if absolute and (above := _ABOVE_VACUUM.match(value)):
-        from eha_monitor.settings.channels import unit_of  # which is made of these units
-
-        of = unit_of(above[2])
-        return of.factor * float(above[1]) + of.zero
+        value, zero = above[1], ATMOSPHERE * above[2].casefold().startswith("g")
     value = _REV.sub("revolution", value)
     try:
         quantity = registry.Quantity(value)
-        return float(quantity.to(_PINT.get(unit, unit)).magnitude)
+        return float(quantity.to(_PINT.get(unit, unit)).magnitude) + zero
     except Exception as problem:  # pint raises a dozen kinds, all of them the user's value
         raise PydanticCustomError(
             "unit", f"expected a number in {unit}, got {value!r}"

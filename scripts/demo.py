@@ -138,8 +138,9 @@ def compiled(beside: Children) -> None:
 
 def live(logs: Path) -> None:
     """Run the real simulator and the real monitor; B rises, then air enters."""
-    print("1. Simulator and monitor, live.  B rises from 600 to 1300 N·s/m from 10 s on,\n"
-          "   air enters the oil from 18 s on.", flush=True)
+    print("1. Simulator and monitor, live.  10 s after the simulator's start B rises\n"
+          "   from 600 to 1300 N·s/m, after 18 s air enters the oil.  The times are since the\n"
+          "   monitor's first sample, which comes a few seconds later.", flush=True)
     with Children(logs) as children:
         config = str(ROOT / "config/demo.yaml")
         children.start("monitor", "--config", config)

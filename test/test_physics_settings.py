@@ -118,7 +118,7 @@ def test_every_parameter_can_be_written_with_its_unit(effect):
     ("simulation: {excitation: {a: {kind: sine, amplitude: 40}}}",
      "simulation.excitation.a.amplitude", "'40 mm'")])
 def test_a_number_that_has_lost_its_unit_is_refused(tmp_path, written, key, words):
-    """Bar typed for Pa was taken without a word; the line says what was read, and what to write."""
+    """Bar typed for Pa was taken without a word; the line says what was read and what to write."""
     (tmp_path / "my.yaml").write_text(written)
     with pytest.raises(InputError) as caught:
         load_settings(tmp_path / "my.yaml")

@@ -341,8 +341,9 @@ def effects_of(answers: Answers, entries: list[Entry], seen: Seen) -> list[Entry
         shrinks = 1.0 if zero == "extended" else ratio  # of A_v, how fast that chamber does
         slope = min(of["area_1"], 0.98 * shrinking / (reach * shrinks))  # some oil is left
         own = "" if ratio == 1.0 else f", r: {number(ratio)}"
-        found.append(Entry("position_dependent_volume", f"{{A_v: {number(slope)}{own}}}", f"{who}: "
-                           "x = 0 is at an end; the volumes above hold there and change with x"))
+        found.append(Entry("position_dependent_volume", f"{{A_v: {number(slope)}{own}}}",
+                           f"{who}: x = 0 is at an end; the volumes above hold there and change "
+                           "with x"))
     return found
 
 

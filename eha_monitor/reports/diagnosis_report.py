@@ -100,8 +100,7 @@ def _first_screen(found: Diagnosis, curves: list[diagnosis.Curve], settings: Set
     shown = (found.before, found.after) if _compared(found) else (found.before,)
     heads = ("parameter", *(_names(found) if _compared(found) else ("model of the config",)))
     parameters = table(" | ".join(heads), [
-        (_symbol(name), *words.pair_words(found.before.get(name), found.after.get(name))[
-            :len(shown)])
+        (_symbol(name), *words.parameter_words(found, name)[:len(shown)])
         for name in dict.fromkeys((*found.before, *found.after))],
         " | ".join(("", *["value"] * len(shown))), "summary")
     return FirstScreen(
@@ -126,6 +125,9 @@ def _curve_note(found: Diagnosis, curve: diagnosis.Curve) -> str:
     if found.effects:
         note = (f"{dots}: measured term that the linear model lacks. {line}: the identified "
                 "effects.")
+    elif found.changes:
+        note = (f"{dots}: measured term that the model of the healthy recordings lacks. {line}: "
+                "what has changed.")
     elif found.rig_data:
         note = f"{dots}: measured term that the model of the config lacks."
     elif found.verdict == "consistent":

@@ -3,7 +3,8 @@
 import math
 import re
 
-from eha_monitor.mismatch.diagnosis import Diagnosis, RigFinding, SignalFit, Value
+from eha_monitor.mismatch.diagnosis import Change, Diagnosis, RigFinding, SignalFit, Value
+from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.quantity import (
     SYMBOLS,
     Scale,
@@ -81,6 +82,7 @@ def next_steps(found: Diagnosis, bags: str) -> tuple[str, ...]:
              f"{value_words(finding.found)}" for finding in found.rig_data]
     steps += [effect.rig_check for effect in found.effects if effect.rig_check][:1]
     if found.references and found.changes:
+        steps += [step for change in found.changes if (step := _look_for(change))]
         steps.append("find out why it has changed; after a repair `eha-monitor diagnose "
                      f"{bags} --reference ...` says whether it is as before")
     completed = found.verdict == "mismatch" or found.learned
@@ -93,6 +95,33 @@ def next_steps(found: Diagnosis, bags: str) -> tuple[str, ...]:
         steps.append("do not act on B and βe: they carry what is missing")
     steps += advice_in_parts(found)[0]
     return tuple(map(sentence, dict.fromkeys(steps))) or ("Nothing.",)
+
+
+# Parameter, and whether it is too high or has grown -> what to look for at the machine.
+LOOK_FOR = {
+    ("B", True): "look for what brakes the piston (worn or swollen seals, a side load, cold oil)",
+    ("B", False): "check the oil's temperature and grade, and the areas in the config",
+    ("beta_e", True): "check the volumes in the config",
+    ("beta_e", False): "look for air in the oil: bleed the circuit, check the suction side and "
+                       "the charge pressure"}
+
+
+def _look_for(change: Change) -> str:
+    """Return what to look for where a number has changed, or nothing where nobody knows."""
+    if change.what in CATALOGUE:
+        return CATALOGUE[change.what].rig_check
+    return LOOK_FOR.get((change.what, change.now.value > change.reference.value), "")
+
+
+def parameter_words(found: Diagnosis, name: str) -> tuple[str, str]:
+    """Return a parameter before (of healthy recordings) and after (now).
+
+    What has changed has the numbers of its own sentence.
+    """
+    for change in found.changes:
+        if change.what == name and not change.symbol:
+            return pair_words(change.reference, change.now)
+    return pair_words(found.before.get(name), found.after.get(name))
 
 
 def channels_in_parts(found: Diagnosis) -> tuple[tuple[str, ...], tuple[str, ...]]:
