@@ -122,12 +122,12 @@ def _symbol(name: str) -> str:
 
 def _curve_note(found: Diagnosis, curve: diagnosis.Curve) -> str:
     dots, line = ("Grey", "Blue") if curve.against == "time" else ("Dots", "Line")
-    if found.effects:
-        note = (f"{dots}: measured term that the linear model lacks. {line}: the identified "
-                "effects.")
-    elif found.changes:
+    if found.changes:
         note = (f"{dots}: measured term that the model of the healthy recordings lacks. {line}: "
                 "what has changed.")
+    elif found.effects:
+        note = (f"{dots}: measured term that the linear model lacks. {line}: the identified "
+                "effects.")
     elif found.rig_data:
         note = f"{dots}: measured term that the model of the config lacks."
     elif found.verdict == "consistent":
