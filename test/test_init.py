@@ -18,8 +18,11 @@ from eha_monitor.draft.answers import answers_of, full_scale
 from eha_monitor.draft.sources import layout_of
 from eha_monitor.draft.words import read
 from eha_monitor.errors import InputError
+from eha_monitor.estimation.pipeline import estimate
 from eha_monitor.physics.simulator import Simulator
-from eha_monitor.settings import Settings, load_settings
+from eha_monitor.recordings.importing import read_table
+from eha_monitor.settings import Settings, load_settings, settings_from_tree
+from eha_monitor.settings.load import tree_of
 
 ROOT = Path(__file__).parents[1]
 SEEN = Simulator(Settings(), seed=1).advance(6_000)
@@ -415,6 +418,36 @@ def test_volumes_at_zero_follow_from_where_it_lies(zero, span, oil):
     slope = float(re.search(r"A_v: ([\d.e-]+)", effects["position_dependent_volume"].value)[1])
     for x in span:  # no chamber runs out of oil
         assert float(rig["volume_1"]) + slope * x > 0 < float(rig["volume_2"]) - slope * x
+
+
+def test_a_single_rod_that_is_counted_from_its_end(tmp_path, capsys):
+    """A plant of other equations, 40/25 mm: each chamber has its own area, not the areas' mean."""
+    from quarter_hour import SINES, Sheet, rig
+    from strangers.plant import recording
+
+    sheet = Sheet(40, 25, 1, 160, 40, 60, 3.1, 15)
+    made = rig("end", sheet.plant(2400, 8e8, 20000, cross_leakage=1.5e-13, makeup=1.5e-13), 500,
+               SINES)
+    seen = recording(made, 3)
+    file = table(tmp_path / "a.csv", {
+        "time [s]": seen["time"], "position [mm]": 1e3 * (seen["x"] + 0.08),
+        "setpoint [mm]": 1e3 * (seen["x_d"] + 0.08), "pump [rpm]": seen["omega"] * 30 / np.pi,
+        "pressure A [bar]": 1e-5 * seen["p1"], "pressure B [bar]": 1e-5 * seen["p2"]}, ",")
+    status, out, _ = init(capsys, file, "--yes", *sets(
+        *sheet.answers(), "machine=two_pumps", "load=none", "zero=retracted",
+        "pressures=absolute", "leakage=4.5e-13", "makeup_conductance=1.5e-13"))
+    assert status == 0
+    law = load_settings("my_rig.yaml").effects["position_dependent_volume"]
+    assert law["r"] == pytest.approx(1 - (25 / 40)**2, rel=1e-4)
+    assert "model: consistent" in out
+    B, beta = (float(re.search(rf"{row} +\S+ +([\d.]+) ± ", out)[1])
+               for row in ("stage one", "stage two"))
+    assert pytest.approx(2400, rel=0.01) == B and beta == pytest.approx(800, rel=0.03)
+    mean = settings_from_tree({**tree_of("my_rig.yaml"), "effects": {
+        "position_dependent_volume": {"A_v": law["A_v"] * (1 + law["r"]) / 2},
+        "constant_load": {"F_0": 101_325 * np.pi / 4 * 0.025**2}}}, "mean")
+    found = estimate(read_table(file, mean), mean)
+    assert abs(found.parameters["beta_e"].value / 800e6 - 1) > 0.1
 
 
 def test_a_load_becomes_an_effect_that_the_model_has():

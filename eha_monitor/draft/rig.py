@@ -27,8 +27,9 @@ _TOLERANCES = {"area_1": (0.005, 0.01, 0.0), "area_2": (0.005, 0.01, 0.0),
 _FACTORS = ("leakage", "makeup_conductance")
 LOADS = {"gravity": ("inclination",), "spring": ("spring", "spring_rest")}
 QUESTIONS = {
-    "machine": "machine: double_rod (pump-controlled), two_pumps or accumulator (single rod), "
-               "valve (cylinder behind a valve), force (axis with a measured force or torque)",
+    "machine": "kind of machine: double_rod (pump-controlled), two_pumps or accumulator (single "
+               "rod), valve (cylinder behind a valve), force (axis with a measured force or "
+               "torque)",
     "load": "load on the rod beside mass and friction: none, gravity, spring, or unknown (a "
             "linkage, a process)",
     "inclination": "inclination of the axis, such as 20 deg, positive if growing x lifts the load",
