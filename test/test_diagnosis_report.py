@@ -34,13 +34,13 @@ from eha_monitor.reports.diagnosis_words import (
     message_words,
     next_steps,
     pair_words,
-    probability,
     removed,
     removed_words,
     sentence,
     windows_words,
 )
 from eha_monitor.settings import Settings, load_settings, settings_from_tree
+from eha_monitor.words import probability
 
 COMMAND = "eha-monitor diagnose bags/hidden_friction"
 

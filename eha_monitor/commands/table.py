@@ -19,7 +19,7 @@ from eha_monitor.plausibility.sheet import against_sheet, load_against
 from eha_monitor.quantity import DIAGNOSED, NOTE, SYMBOLS, number
 from eha_monitor.reports import diagnosis_words as words
 from eha_monitor.settings import Settings
-from eha_monitor.words import effect_words, listed
+from eha_monitor.words import effect_words, listed, probability
 
 COLOURS = {"OK": "green", "WARN": "yellow", "ERROR": "red", "STALE": "dim", NOT_JUDGED: "cyan",
            "converged": "green", "not_excited": "yellow", "diverged": "red", "no_data": "dim",
@@ -253,7 +253,7 @@ def _effects(found: Diagnosis) -> Table:
     shown = table("left out", "probability", "balance", "size", "parameters",
                    "indistinguishable from")
     for effect in found.effects:
-        shown.add_row(effect.name, words.probability(effect.probability), effect.balance,
+        shown.add_row(effect.name, probability(effect.probability), effect.balance,
                       escape(effect.size),
                       escape("\n".join(f"{name} = {words.value_words(value)}"
                                        for name, value in effect.parameters.items())),

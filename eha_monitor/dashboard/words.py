@@ -13,6 +13,7 @@ from eha_monitor.health.alarms import NO_LIMIT, NOT_JUDGED, SEVERITY
 from eha_monitor.health.judge import DIAGNOSIS, MODEL_IN_FORCE, Finding
 from eha_monitor.quantity import SYMBOLS, Scale, number, readable, with_uncertainty
 from eha_monitor.settings import Settings
+from eha_monitor.words import probability
 
 # A level has a sign and a word, so that it is readable without its colour.
 SIGNS = {"OK": "✓", NOT_JUDGED: "?", "WARN": "▲", "ERROR": "✖", "STALE": "◌"}
@@ -179,10 +180,8 @@ def diagnosis_lines(view: state.View) -> list[str]:
     # Names are those of the catalogue there, as programs read them too.
     lines = [_local_times(model).replace("_", " ")] if model is not None else []
     for one in found.values():
-        probability = _written(100.0 * float(one.values["probability"]), 3) if one.values.get(
-            "probability") else ""
-        lines.append(_local_times(one) + (f" (probability {probability} %)" if probability
-                                          else ""))
+        chance = one.values.get("probability")
+        lines.append(_local_times(one) + (f" ({probability(float(chance))})" if chance else ""))
     if head.values.get("state") not in ("idle", None):
         lines.append(str(head.values["state"]))
     if head.values.get("report"):

@@ -28,12 +28,12 @@ from eha_monitor.mismatch.diagnosis import Value
 from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.quantity import SYMBOLS, Scale, number, quantity, with_uncertainty
 from eha_monitor.reports import figure as fig
-from eha_monitor.reports.diagnosis_words import probability, value_words
+from eha_monitor.reports.diagnosis_words import value_words
 from eha_monitor.reports.estimate_figures import NAMES, add_limits, is_near, limits_of
 from eha_monitor.reports.estimate_report import STATUS_WORDS
 from eha_monitor.reports.page import Cell, Table, render, table
 from eha_monitor.settings.monitor import Settings
-from eha_monitor.words import effect_words, listed
+from eha_monitor.words import effect_words, listed, probability
 
 DAY = 86400.0  # s
 _ENLARGED = 0.4  # share of the picture with the limits below which the values get one of their own

@@ -18,7 +18,7 @@ from eha_monitor.quantity import (
 from eha_monitor.settings.channels import CHANNELS
 from eha_monitor.settings.rig import Rig, Tolerance
 from eha_monitor.units import LARGEST
-from eha_monitor.words import listed
+from eha_monitor.words import listed, probability
 
 # Verdict -> (colour, first words).
 VERDICTS = {
@@ -148,18 +148,6 @@ def windows_words(found: Diagnosis) -> str:
             else "the whole recording")
     return (f"Effects were identified on the most informative {number(length)} s ({where}); "
             f"the models were then run over {over}.")
-
-
-def probability(share_of_one: float) -> str:
-    """Return a probability in per cent; nothing is certain, so never 0 or 100.
-
-    >>> probability(0.9999), probability(0.97), probability(0.0)
-    ('>99 %', '97 %', '<1 %')
-    """
-    if not math.isfinite(share_of_one):
-        return "—"
-    whole = round(100 * min(max(share_of_one, 0.0), 1.0))
-    return ">99 %" if whole == 100 else "<1 %" if whole == 0 else f"{whole} %"
 
 
 def verdict_probability(found: Diagnosis) -> float:
