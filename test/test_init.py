@@ -415,9 +415,12 @@ def test_volumes_at_zero_follow_from_where_it_lies(zero, span, oil):
     if zero == "zero=middle":
         assert "position_dependent_volume" not in effects
         return
-    slope = float(re.search(r"A_v: ([\d.e-]+)", effects["position_dependent_volume"].value)[1])
+    slope, ratio = (float(found) for found in re.search(
+        r"A_v: ([\d.e-]+), r: ([\d.e-]+)", effects["position_dependent_volume"].value).groups())
+    assert slope == pytest.approx(float(rig["area_1"])) and ratio == pytest.approx(
+        float(rig["area_2"]) / float(rig["area_1"]), rel=1e-5)
     for x in span:  # no chamber runs out of oil
-        assert float(rig["volume_1"]) + slope * x > 0 < float(rig["volume_2"]) - slope * x
+        assert float(rig["volume_1"]) + slope * x > 0 < float(rig["volume_2"]) - slope * ratio * x
 
 
 def test_a_single_rod_that_is_counted_from_its_end(tmp_path, capsys):
