@@ -59,6 +59,7 @@ class Sheet:
         areas = (ring if self.rods == 2 else pi / 4 * self.bore**2 * 1e-6, ring)
         volumes = [area * self.stroke * 0.5e-3 + self.line * 1e-6 for area in areas]
         pump = self.pump * 1e-6 / (2 * pi)
+        more["load"] = more.get("load", 0.0) + ATMOSPHERE * (areas[0] - areas[1])  # on the rod
         return Constants(*areas, *volumes, self.mass, damping, beta, pump,
                          pump * areas[1] / areas[0], gain, reservoir=self.charge * 1e5, **more)
 

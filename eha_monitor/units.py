@@ -17,11 +17,18 @@ TURNING = {"m": "rad", "m²": "m³/rad", "kg": "kg·m²", "N·s/m": "N·m·s/rad
 
 _REV = re.compile(r"(?<=/)\s*rev\b")  # as pumps are sold: 1.6 cm^3/rev
 
+# A number and a unit that says what it is counted from.
+_ABOVE_VACUUM = re.compile(r"^(.*\d\s*(?:bar|mbar|kPa|MPa|Pa|psi))[\s_(]*"
+                           r"(gauge|g|absolute|abs|a)\)?\s*$")
+ATMOSPHERE = 101_325.0  # Pa; what a gauge pressure is counted from
+
 LARGEST = 1e18  # no quantity of a rig in SI units is larger; squares stay finite
 
 
-def to_si(value: Any, unit: str) -> Any:
+def to_si(value: Any, unit: str, absolute: bool = False) -> Any:
     """Return ``value`` in ``unit``: numbers pass, strings such as ``"68.5 cm^3"`` are converted.
+
+    ``absolute``: it is a pressure above vacuum, and may be written as ``"15 bar gauge"``.
 
     Raises
     ------
@@ -38,30 +45,37 @@ def to_si(value: Any, unit: str) -> Any:
     import pint  # slow to import, and needed only where a config writes units
 
     registry = pint.get_application_registry()
+    zero = 0.0
+    if absolute and (above := _ABOVE_VACUUM.match(value)):
+        value, zero = above[1], ATMOSPHERE * above[2].casefold().startswith("g")
     value = _REV.sub("revolution", value)
     try:
         quantity = registry.Quantity(value)
-        return float(quantity.to(_PINT.get(unit, unit)).magnitude)
+        return float(quantity.to(_PINT.get(unit, unit)).magnitude) + zero
     except Exception as problem:  # pint raises a dozen kinds, all of them the user's value
         raise PydanticCustomError(
             "unit", f"expected a number in {unit}, got {value!r}"
         ) from problem
 
 
-def Si(unit: str, description: str, *, optional: bool = False, **bounds: float) -> Any:
+def Si(unit: str, description: str, *, optional: bool = False, absolute: bool = False,
+       possible: tuple[float, float] | None = None, **bounds: float) -> Any:
     """Declare a config value: ``name: Si("kg", "moving mass", gt=0) = 20.0``.
 
     Returns an annotated type whose field carries unit, description and range, from which the
     documentation and the ROS parameter descriptors are made.  A rig that turns has those of
-    ``TURNING``.
+    ``TURNING``.  ``possible`` are the smallest and the largest size of any actuator, SI: a number
+    alone beyond them has lost its unit (:mod:`eha_monitor.settings.lost_units`).
+    ``absolute``: a pressure above vacuum, which may be written as one of a gauge.
     """
+    extra = {"unit": unit} | ({"possible": possible} if possible else {})
     base = float | None if optional else float
     return Annotated[
         base,
         # The bounds come before the validator: so pydantic asks them of a number, not of None.
         Field(description=description, allow_inf_nan=False,
-              json_schema_extra={"unit": unit}, **bounds),
-        BeforeValidator(lambda value, info: to_si(value, _of_motion(unit, info))),
+              json_schema_extra=extra, **bounds),
+        BeforeValidator(lambda value, info: to_si(value, _of_motion(unit, info), absolute)),
     ]
 
 

@@ -1,4 +1,6 @@
-"""Names and lists as people say them."""
+"""Names, lists and probabilities as people say them."""
+
+import math
 
 
 def effect_words(name: str) -> str:
@@ -15,3 +17,15 @@ def listed(words: list[str] | tuple[str, ...], last: str = "and") -> str:
     if len(words) < 2:
         return "".join(words)
     return f"{', '.join(words[:-1])} {last} {words[-1]}"
+
+
+def probability(share_of_one: float) -> str:
+    """Return a probability in per cent; nothing is certain, so never 0 or 100.
+
+    >>> probability(0.9999), probability(0.97), probability(0.0)
+    ('>99 %', '97 %', '<1 %')
+    """
+    if not math.isfinite(share_of_one):
+        return "—"
+    whole = round(100 * min(max(share_of_one, 0.0), 1.0))
+    return ">99 %" if whole == 100 else "<1 %" if whole == 0 else f"{whole} %"

@@ -110,8 +110,8 @@ class Watcher:
             self._levels[name] = word
             if word != before and {word, before, finding.level} & {"WARN", "ERROR"}:
                 since = finding.values.get("since_s", "") if name in ALARM_NAMES else ""
-                self._say(f"{self._clock(float(since or 'nan'))}  {word:5} {name}: "
-                          f"{finding.message}", word)
+                said = finding.message.removeprefix(f"{word}: ")
+                self._say(f"{self._clock(float(since or 'nan'))}  {word:5} {name}: {said}", word)
             if finding.raised and name in ALARM_NAMES:
                 self.seen.raised.add(name)
 

@@ -151,7 +151,7 @@ def test_a_diagnosis_is_an_event_and_a_card(rig):
         "• The config's model", "• A diagnosis is under way"]
     found = Finding("effect coulomb_friction", "WARN", "40 N", {"probability": "0.999"})
     assert tells("5", "adopted", found, report="why.html") == [
-        "• The config's model", "• 40 N (probability 99.9 %)", "• Report: why.html"]
+        "• The config's model", "• 40 N (>99 %)", "• Report: why.html"]
     found = Finding("changed F_c", "WARN", "since 2023-11-14T22:13:20+00:00",
                     {"since_utc": "2023-11-14T22:13:20+00:00"})
     assert tells("5", "adopted", found)[1] == f"• Since {words.clock_text(1.7e9)}"

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from eha_monitor.dashboard import charts, words
 from eha_monitor.dashboard.history import History
 from eha_monitor.dashboard.state import ESTIMATES_EVERY, State, alarms
+from eha_monitor.health.alarms import NO_LIMIT
 from eha_monitor.health.judge import Finding
 from eha_monitor.quantity import Scale
 from eha_monitor.settings import Settings, settings_from_tree
@@ -132,6 +133,19 @@ def test_the_header_is_stale_only_where_no_data_come(state):
     assert heard(state, "STALE", viscous_damping_high="ERROR") == ("STALE", "◌ STALE")
     heard(state, "OK")
     assert words.overall(state.view(60.0)) == ("STALE", "◌ STALE")  # the monitor is not heard
+
+
+def test_an_actuator_without_limits_is_not_ok(state):
+    def header(model, **messages):
+        names = [alarm.name for alarm in alarms(state.view(0.0))]
+        state.take_findings("eha", [
+            *(Finding(name, "OK", messages.get(name, NO_LIMIT)) for name in names),
+            Finding("model_mismatch", model, ""), Finding("data", "OK", "")], 0.0)
+        return words.overall(state.view(1.0))
+
+    assert header("OK") == ("STALE", "◌ no limits set")
+    assert header("WARN")[0] == "WARN"
+    assert header("OK", bulk_modulus_low="above its limit") == ("OK", "✓ OK")
 
 
 def test_the_footer_says_in_words_how_the_data_come(state):

@@ -14,6 +14,7 @@ from eha_monitor.commands.table import show_diagnosis
 from eha_monitor.errors import InputError
 from eha_monitor.mismatch.diagnosis import (
     Agreement,
+    Change,
     Curve,
     Location,
     Overlay,
@@ -33,13 +34,13 @@ from eha_monitor.reports.diagnosis_words import (
     message_words,
     next_steps,
     pair_words,
-    probability,
     removed,
     removed_words,
     sentence,
     windows_words,
 )
 from eha_monitor.settings import Settings, load_settings, settings_from_tree
+from eha_monitor.words import probability
 
 COMMAND = "eha-monitor diagnose bags/hidden_friction"
 
@@ -69,6 +70,27 @@ def test_every_verdict_has_a_page_that_is_complete_in_itself(name):
         assert said in page.text
     assert len(html.encode()) < 5e6
     assert " nan" not in page.text and "None" not in page.text
+
+
+def test_a_change_has_one_voice():
+    """The sentence said 4100 ± 1 against 3000.2 ± 0.9, the table ± 40 and ± 150; and the caption,
+    that no effect of the catalogue fits."""
+    healthy, now = damping(3000.2, 0.9), damping(4100.0, 1.2)
+    said = "viscous damping B is 4100 ± 1 N·s/m, where 5 healthy recordings have 3000.2 ± 0.9"
+    found = replace(coulomb(), effects=(), references=("a", "b", "c"), health=(), message=said,
+                    before={"B": damping(3000.0, 150.0)}, after={"B": damping(4100.0, 40.0)},
+                    changes=(Change("B", "", "force", healthy, now, "N·s/m", said),))
+    page = Page(page_of(found))
+    assert " ".join(pair_words(healthy, now)) in " ".join(page.text.split())
+    assert "± 150" not in page.text and "No effect of the catalogue" not in page.text
+    assert "what brakes the piston" in page.text
+    less = replace(found, changes=(replace(found.changes[0], now=damping(2000.0, 1.0)),))
+    assert "temperature and grade" in next_steps(less, "now")[0]
+    dry = Change("coulomb_friction", "F_c", "force", Value(0.0, 0.1, "N"), Value(160.0, 0.1, "N"),
+                 "N", said)
+    assert "spring balance" in next_steps(replace(found, changes=(dry,)), "now")[0]
+    line = curve_figure(found, informative(found)[0]).panels[0]
+    assert any(getattr(one, "label", "") == "modelled: what has changed" for one in line.shown)
 
 
 def test_sections_follow_what_is_there(html):

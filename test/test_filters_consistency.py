@@ -60,6 +60,15 @@ def test_other_innovations_are_blamed(make):
                for result in results)
 
 
+def test_the_verdict_is_said_in_times_the_noise_and_huge_ones_alike():
+    """NIS, innovations and 10^68 are for no technician."""
+    e = np.random.default_rng(5).standard_normal(8000)
+    wrong, absurd = verdict(e + 100.0).message, verdict(e * 1e60).message
+    assert "times the noise" in wrong and "more than 10000 times the noise" in absurd
+    for said in (wrong, absurd, verdict(e).message):
+        assert not {"NIS", "innovations", "white"} & set(said.replace(",", " ").split()), said
+
+
 def test_the_worst_place_is_named():
     e = np.random.default_rng(3).standard_normal(20_000)
     e[12_300:12_400] *= 8

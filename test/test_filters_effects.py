@@ -209,3 +209,20 @@ def test_behind_a_play_the_position_is_known_only_while_the_sensor_moves():
     known = np.isfinite(found)
     assert 0.7 < known.mean() < 0.99
     assert np.abs(found - x)[known].max() < 6e-6
+
+
+@pytest.mark.parametrize("case", ["none", "constant_load", "coulomb_friction", "added_mass"])
+def test_the_acceleration_of_stage_one_knows_the_configs_effects(case):
+    """A motion that begins and ends slowly has no acceleration in the mean, and that of x''."""
+    recording, effects = recording_of(case)
+    stage = answer(recording, effects).stage_one
+    inside, dt = slice(500, -500), recording.sample_time
+    second = np.gradient(np.gradient(smoothed(recording.get("x")), dt), dt)
+    off = smoothed(stage.acceleration - second)[inside]
+    assert abs(float(np.mean(off))) < 0.05  # 100 N are 5 m/s²
+    assert float(np.std(off)) < 0.3  # 40 N on 20 kg are 2 m/s²
+
+
+def smoothed(values):
+    window = np.hanning(81)
+    return np.convolve(values, window / window.sum(), "same")

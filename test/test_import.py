@@ -326,3 +326,25 @@ def test_hanging_load_and_simulator(tmp_path):
     v = recording.channels["v"]
     a = np.gradient(v, 1e-3)
     assert np.polyfit(v, force - rig.mass * a, 1)[0] == pytest.approx(600, rel=0.02)
+
+
+@pytest.mark.parametrize(("channel", "head", "unit", "scale", "said"), [
+    ("p1", "Pumpe U/min", "bar", 1.0, "rpm"), ("x", "Druck A [bar]", "mm", 1.0, "bar"),
+    ("omega", "pos_mm", "rpm", 1.0, "mm"), ("p1", "p (psi)", "", 1.0, ""),
+    ("p1", "Pumpe U/min", "bar", 0.5, ""), ("x", "Weg [mm]", "m", 1.0, ""),
+    ("x", "AI3 [V]", "mm", 1.0, ""), ("x", "AI3", "mm", 1.0, "")])
+def test_a_column_whose_name_is_of_another_quantity_is_refused(tmp_path, channel, head, unit,
+                                                             scale, said):
+    """A wrong column of numbers reads like any other; its own head tells."""
+    rows = "\n".join(f"{k / 1000};{k % 7}" for k in range(50))
+    (tmp_path / "a.csv").write_text(f"t;{head}\n{rows}\n")
+    settings = settings_from_tree({"table": {"time": "t", "columns": {
+        channel: {"column": head, "unit": unit, "scale": scale}}}}, "map")
+    if not said:
+        assert len(read_table(tmp_path / "a.csv", settings)) == 50
+        return
+    with pytest.raises(InputError, match=f"table.columns.{channel}: column .* is in {said} by "):
+        read_table(tmp_path / "a.csv", settings)
+    by_index = settings_from_tree({"table": {"time": "t", "columns": {
+        channel: {"column": 1, "unit": unit}}}}, "map")
+    assert len(read_table(tmp_path / "a.csv", by_index)) == 50

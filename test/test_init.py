@@ -18,8 +18,11 @@ from eha_monitor.draft.answers import answers_of, full_scale
 from eha_monitor.draft.sources import layout_of
 from eha_monitor.draft.words import read
 from eha_monitor.errors import InputError
+from eha_monitor.estimation.pipeline import estimate
 from eha_monitor.physics.simulator import Simulator
-from eha_monitor.settings import Settings, load_settings
+from eha_monitor.recordings.importing import read_table
+from eha_monitor.settings import Settings, load_settings, settings_from_tree
+from eha_monitor.settings.load import tree_of
 
 ROOT = Path(__file__).parents[1]
 SEEN = Simulator(Settings(), seed=1).advance(6_000)
@@ -410,11 +413,44 @@ def test_volumes_at_zero_follow_from_where_it_lies(zero, span, oil):
                               zero, span=span)
     assert [1e6 * float(rig[f"volume_{k}"]) for k in (1, 2)] == pytest.approx(oil, rel=1e-3)
     if zero == "zero=middle":
-        assert not effects
+        assert "position_dependent_volume" not in effects
         return
-    slope = float(re.search(r"A_v: ([\d.e-]+)", effects["position_dependent_volume"].value)[1])
+    slope, ratio = (float(found) for found in re.search(
+        r"A_v: ([\d.e-]+), r: ([\d.e-]+)", effects["position_dependent_volume"].value).groups())
+    assert slope == pytest.approx(float(rig["area_1"])) and ratio == pytest.approx(
+        float(rig["area_2"]) / float(rig["area_1"]), rel=1e-5)
     for x in span:  # no chamber runs out of oil
-        assert float(rig["volume_1"]) + slope * x > 0 < float(rig["volume_2"]) - slope * x
+        assert float(rig["volume_1"]) + slope * x > 0 < float(rig["volume_2"]) - slope * ratio * x
+
+
+def test_a_single_rod_that_is_counted_from_its_end(tmp_path, capsys):
+    """A plant of other equations, 40/25 mm: each chamber has its own area, not the areas' mean."""
+    from quarter_hour import SINES, Sheet, rig
+    from strangers.plant import recording
+
+    sheet = Sheet(40, 25, 1, 160, 40, 60, 3.1, 15)
+    made = rig("end", sheet.plant(2400, 8e8, 20000, cross_leakage=1.5e-13, makeup=1.5e-13), 500,
+               SINES)
+    seen = recording(made, 3)
+    file = table(tmp_path / "a.csv", {
+        "time [s]": seen["time"], "position [mm]": 1e3 * (seen["x"] + 0.08),
+        "setpoint [mm]": 1e3 * (seen["x_d"] + 0.08), "pump [rpm]": seen["omega"] * 30 / np.pi,
+        "pressure A [bar]": 1e-5 * seen["p1"], "pressure B [bar]": 1e-5 * seen["p2"]}, ",")
+    status, out, _ = init(capsys, file, "--yes", *sets(
+        *sheet.answers(), "machine=two_pumps", "load=none", "zero=retracted",
+        "pressures=absolute", "leakage=4.5e-13", "makeup_conductance=1.5e-13"))
+    assert status == 0
+    law = load_settings("my_rig.yaml").effects["position_dependent_volume"]
+    assert law["r"] == pytest.approx(1 - (25 / 40)**2, rel=1e-4)
+    assert "model: consistent" in out
+    B, beta = (float(re.search(rf"{row} +\S+ +([\d.]+) ± ", out)[1])
+               for row in ("stage one", "stage two"))
+    assert pytest.approx(2400, rel=0.01) == B and beta == pytest.approx(800, rel=0.03)
+    mean = settings_from_tree({**tree_of("my_rig.yaml"), "effects": {
+        "position_dependent_volume": {"A_v": law["A_v"] * (1 + law["r"]) / 2},
+        "constant_load": {"F_0": 101_325 * np.pi / 4 * 0.025**2}}}, "mean")
+    found = estimate(read_table(file, mean), mean)
+    assert abs(found.parameters["beta_e"].value / 800e6 - 1) > 0.1
 
 
 def test_a_load_becomes_an_effect_that_the_model_has():
@@ -426,6 +462,23 @@ def test_a_load_becomes_an_effect_that_the_model_has():
     assert effects["spring_load"].value == "{k: 8000.0, x_0: -0.005}"
     assert settings_from_tree({"effects": {"spring_load": {"k": 8e3, "x_0": -5e-3}}}, "a")
     assert not entries("load=unknown")[1]
+
+
+@pytest.mark.parametrize(("answers", "load"), [
+    (("bore=40 mm", "rod=25 mm"), 101_325 * np.pi / 4 * 0.025**2),
+    (("bore=40 mm", "rod=25 mm", "load=none"), 101_325 * np.pi / 4 * 0.025**2),
+    (("bore=40 mm", "rod=25 mm", "ambient_pressure=0.9 bar"), 0.9e5 * np.pi / 4 * 0.025**2),
+    (("bore=40 mm", "rod=25 mm", "mass=60 kg", "load=gravity", "inclination=-20 deg"),
+     101_325 * np.pi / 4 * 0.025**2 - 60 * 9.81 * np.sin(np.radians(20))),
+    (("area_1=5 cm^2", "area_2=9 cm^2"), -101_325 * 4e-4),  # the rod is on the side of chamber 1
+    (("bore=40 mm", "rod=25 mm", "rods=2"), 0.0),
+    (("bore=40 mm", "rod=25 mm", "ambient_pressure=0"), 0.0),
+    (("bore=40 mm",), 0.0)])
+def test_the_open_air_on_the_end_of_the_rod_is_in_the_config(answers, load):
+    """F = A1 p1 - A2 p2 of absolute pressures: air all around gives p_a (A1 - A2) at rest."""
+    _, effects, _ = entries(*answers)
+    written = effects.get("constant_load")
+    assert (float(written.value[6:-1]) if written else 0.0) == pytest.approx(load, rel=1e-4)
 
 
 def test_tolerances_follow_from_where_a_number_comes_from():
@@ -451,7 +504,7 @@ def test_a_machine_without_a_pump_is_not_asked_for_one(tmp_path, capsys, machine
 
 @pytest.mark.parametrize(("more", "unit", "said"), [
     ((), "bar gauge", "is not below 1 bar"),
-    (("pressures=absolute",), "bar", "are these gauge pressures"),
+    (("pressures=absolute",), "bar absolute", "are these gauge pressures"),
     (("pressures=gauge",), "bar gauge", "answered"),
 ])
 def test_pressures_below_the_open_air_are_no_absolute_ones(tmp_path, capsys, more, unit, said):
@@ -462,6 +515,27 @@ def test_pressures_below_the_open_air_are_no_absolute_ones(tmp_path, capsys, mor
     assert status == 0
     assert load_settings("my_rig.yaml").table.columns["p1"].unit == unit
     assert said in Path("my_rig.yaml").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize(("answer", "unit"), [
+    ("absolute", "bar absolute"), ("gauge", "bar gauge"), (None, "bar gauge")])
+def test_an_answer_stands_whatever_the_pressures_look_like(tmp_path, capsys, answer, unit):
+    """Their mean is one atmosphere below the charge pressure, as that of gauge pressures is."""
+    lower = {f"Druck {one} [bar]": (SEEN[key] - 101_325.0) * 1e-5
+             for one, key in (("A", "p1"), ("B", "p2"))}
+    status, out, _ = init(capsys, german(tmp_path / "a.csv", **lower), "--yes", *sets(
+        *SHEET, *([f"pressures={answer}"] if answer else [])))
+    assert status == 0
+    columns = load_settings("my_rig.yaml").table.columns
+    assert [columns[name].unit for name in ("p1", "p2")] == [unit, unit]
+    assert ("look like gauge pressures" in " ".join(out.split())) == (answer != "gauge")
+
+
+def test_an_answer_holds_for_a_bag_whose_messages_name_no_unit(tmp_path, capsys):
+    status, *_ = init(capsys, ROOT / "bags" / "hidden_friction", "--yes",
+                      *sets(*SHEET, "pressures=gauge"))
+    assert status == 0
+    assert load_settings("my_rig.yaml").channels["p1"].zero == 101_325.0
 
 
 def test_full_scales():

@@ -128,7 +128,8 @@ TERMS = {
             np.abs(r.dp) > p["p_c"], np.abs(r.dp) - p["p_c"], 0)), {"k": 2e-11, "p_c": 5e5}),
     "entrained_air": (air, {"alpha": 0.013, "n": 1.3}),
     "position_dependent_volume": (
-        lambda r, p: {s.VOLUME_1: p["A_v"] * r.x, s.VOLUME_2: -p["A_v"] * r.x}, {"A_v": 5e-4}),
+        lambda r, p: {s.VOLUME_1: p["A_v"] * r.x, s.VOLUME_2: -p["r"] * p["A_v"] * r.x},
+        {"A_v": 5e-4, "r": 0.6}),
     "pump_dead_zone": (
         lambda r, p: {s.SPEED: np.sign(r.omega) * max(abs(r.omega) - p["omega_0"], 0) - r.omega},
         {"omega_0": 8.0}),

@@ -1,10 +1,13 @@
 """What a config may say: units, effects and their defaults, and what is told of the rest."""
 
+from pathlib import Path
+
 import pytest
 
 from eha_monitor.errors import InputError
 from eha_monitor.physics.effects import CATALOGUE
-from eha_monitor.settings import Settings, settings_from_tree
+from eha_monitor.settings import Settings, load_settings, settings_from_tree
+from eha_monitor.settings.load import annotated
 
 
 def test_settings_survive_being_written_and_read():
@@ -94,3 +97,51 @@ def test_every_parameter_can_be_written_with_its_unit(effect):
                for p in effect.parameters}
     found = settings_from_tree({"effects": {effect.name: written}}, "x").effects
     assert found == {effect.name: pytest.approx(values)}
+
+
+@pytest.mark.parametrize("written, key, words", [
+    ("rig: {charge_pressure: 15}", "rig.charge_pressure", "15 is read as 15 Pa, expected 1 kPa to "
+     "100 MPa: write '15 bar' (1.5 MPa)"),
+    ("/**: {ros__parameters: {rig.charge_pressure: 15}}", "rig.charge_pressure", "'15 bar'"),
+    ("rig: {area_1: 505}", "rig.area_1", "'505 mm^2' (5.05 cm²)"),
+    ("rig: {volume_1: 45}", "rig.volume_1", "a number alone is in m³, expected such as"),
+    ("rig: {volume_1: 6850}", "rig.volume_1", "'6850 cm^3' (6850 cm³)"),
+    ("rig: {pump_displacement: 1.6}", "rig.pump_displacement", "'1.6 cm^3/rev' (0.2546 cm³/rad)"),
+    ("rig: {motion: rotary, area_1: 120}", "rig.area_1", "120 m³/rad"),
+    ("rig: {sample_time: 1}", "rig.sample_time", "'1 ms'"),
+    ("rig: {leakage: 0.05}", "rig.leakage", "'0.05 l/min/bar'"),
+    ("thresholds: {bulk_modulus: {low_warn: 450}}", "thresholds.bulk_modulus.low_warn",
+     "'450 MPa'"),
+    ("experiment: {lower: -40, upper: 40}", "experiment.lower", "'-40 mm'"),
+    ("experiment: {pressure: 210}", "experiment.pressure", "'210 bar' (21 MPa)"),
+    ("channels: {p1: {delay: 5}}", "channels.p1.delay", "'5 ms'"),
+    ("simulation: {excitation: {a: {kind: sine, amplitude: 40}}}",
+     "simulation.excitation.a.amplitude", "'40 mm'")])
+def test_a_number_that_has_lost_its_unit_is_refused(tmp_path, written, key, words):
+    """Bar typed for Pa was taken without a word; the line says what was read and what to write."""
+    (tmp_path / "my.yaml").write_text(written)
+    with pytest.raises(InputError) as caught:
+        load_settings(tmp_path / "my.yaml")
+    line = str(caught.value)
+    assert f"my.yaml: {key}: " in line and words in line and "\n" not in line
+
+
+@pytest.mark.parametrize("written, value", [
+    ("15 Pa", 15.0), ("15 bar", 1.5e6), ("15 bar gauge", 1_601_325.0), ("14 barg", 1_501_325.0),
+    ("200 psi absolute", 200 * 6894.757), ("0", 0.0), ("2e6", 2e6)])
+def test_what_is_written_with_its_unit_is_taken(tmp_path, written, value):
+    """Also when such a config is written again."""
+    place = tmp_path / "my.yaml"
+    place.write_text(f"rig: {{charge_pressure: {written}}}")
+    found = load_settings(place)
+    assert found.rig.charge_pressure == pytest.approx(value, rel=1e-6)
+    place.write_text(annotated(found))
+    assert load_settings(place).rig.charge_pressure == pytest.approx(value, rel=1e-6)
+
+
+def test_no_config_that_comes_with_it_is_refused():
+    root = Path(__file__).parents[1]
+    places = [place for place in root.glob("config/*.yaml") if "aggregator" not in place.name]
+    assert places
+    for place in places:
+        load_settings(place)

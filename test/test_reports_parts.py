@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from eha_monitor.estimation.results import Event
-from eha_monitor.health.alarms import Alarm
+from eha_monitor.health.alarms import NO_LIMIT, Alarm
+from eha_monitor.reports.estimate_report import _alarm_table
 from eha_monitor.reports.figure import time_scale
 from eha_monitor.reports.timeline import alarm_timeline, interval_timeline, spans
 from eha_monitor.reports.traces import (
@@ -177,6 +178,15 @@ def test_what_is_not_judged_is_a_lane_of_its_own_and_never_green():
     raised = Alarm("viscous_damping_high", "WARN", "", 5.0)
     bars = alarm_timeline((raised,), (held, raised), (), 10.0).lanes[0][1]
     assert [bar.level for bar in bars] == ["not judged", "WARN"]
+
+
+def test_without_a_limit_there_is_no_level_and_no_green_lane():
+    without = Alarm("bulk_modulus_high", "OK", NO_LIMIT, 0.0)
+    fine = Alarm("bulk_modulus_low", "OK", "above", 0.0)
+    assert [name for name, _ in alarm_timeline((without, fine), (), (), 10.0).lanes] == ["βe low"]
+    assert alarm_timeline((without,), (without,), (), 10.0).note
+    level = _alarm_table((without, fine), "alarms").rows
+    assert [row[1].badge for row in level] == ["", "OK"]
 
 
 def test_timeline_in_percent_with_marks_that_do_not_overlap():

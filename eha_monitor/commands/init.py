@@ -179,6 +179,9 @@ def _next(file: Path, out: Path, draft, bag: bool) -> None:
     click.echo(f"written: {out}" + (f", {len(draft.asked)} values marked ASK" if draft.asked
                                     else ""))
     click.echo("next:")
+    if any(key in ("rig.area_1", "x.column") for key, _ in draft.asked):
+        click.echo(f"  write what is missing into {config}, where it says ASK, or answer with "
+                   "--set")
     if not bag:
         click.echo(f"  eha-monitor import {recording} --map {config} --out {name}")
     click.echo(f"  eha-monitor estimate {name} --config {config} --report my_report.html")

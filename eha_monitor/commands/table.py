@@ -19,7 +19,7 @@ from eha_monitor.plausibility.sheet import against_sheet, load_against
 from eha_monitor.quantity import DIAGNOSED, NOTE, SYMBOLS, number
 from eha_monitor.reports import diagnosis_words as words
 from eha_monitor.settings import Settings
-from eha_monitor.words import effect_words, listed
+from eha_monitor.words import effect_words, listed, probability
 
 COLOURS = {"OK": "green", "WARN": "yellow", "ERROR": "red", "STALE": "dim", NOT_JUDGED: "cyan",
            "converged": "green", "not_excited": "yellow", "diverged": "red", "no_data": "dim",
@@ -92,8 +92,10 @@ def show(found: Estimate, alarms: tuple[Alarm, ...], written: list[Path],
         for sentence in against_sheet(first, found.settings):
             to.print(f"[yellow]config[/]: {escape(sentence)}")
         given = f" --config {config}" if config else ""
-        to.print(f"[bold]what to do[/]: eha-monitor diagnose {escape(recording.source + given)}",
-                 soft_wrap=True)
+        own = "" if config else (f"if this is not the paper's EHA, eha-monitor init "
+                                 f"{recording.source} drafts your rig's config; if it is, ")
+        to.print(f"[bold]what to do[/]: {escape(own)}eha-monitor diagnose "
+                 f"{escape(recording.source + given)}", soft_wrap=True)
     for title, sentences in (("lost", recording.losses), ("note", found.warnings)):
         for sentence in sentences:
             to.print(f"[yellow]{title}[/]: {escape(sentence)}")
@@ -136,7 +138,7 @@ def _estimated(found: Estimate) -> Table:
         value = p.shown if p.status == "converged" or p.shown == "—" else f"[dim]({p.shown})[/]"
         status = _coloured(p.status)
         if p.status == "converged" and estimator != "joint" and p.name in found.model.tainted:
-            value, status = f"[dim]{value}[/]", "converged, [yellow]in doubt[/]"
+            value, status = f"[dim]({p.shown})[/]", "converged, [yellow]in doubt[/]"
         shown.add_row(estimator, SYMBOLS.get(p.name, p.name), value, status)
     for name, taint in found.model.tainted.items():
         if taint.instead:
@@ -251,7 +253,7 @@ def _effects(found: Diagnosis) -> Table:
     shown = table("left out", "probability", "balance", "size", "parameters",
                    "indistinguishable from")
     for effect in found.effects:
-        shown.add_row(effect.name, words.probability(effect.probability), effect.balance,
+        shown.add_row(effect.name, probability(effect.probability), effect.balance,
                       escape(effect.size),
                       escape("\n".join(f"{name} = {words.value_words(value)}"
                                        for name, value in effect.parameters.items())),
@@ -288,8 +290,7 @@ def _rivals(names: tuple[str, ...]) -> str:
 def _parameters(found: Diagnosis) -> Table:
     shown = table("parameter", *("healthy", "now") if found.references else ("before", "after"))
     for name in dict.fromkeys((*found.before, *found.after)):
-        shown.add_row(SYMBOLS.get(name, name), *words.pair_words(found.before.get(name),
-                                                                 found.after.get(name)))
+        shown.add_row(SYMBOLS.get(name, name), *words.parameter_words(found, name))
     return shown
 
 

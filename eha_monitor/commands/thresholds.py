@@ -170,7 +170,8 @@ def _show(proposals, told, seconds, settings, given) -> None:
 def _rate(rate: float) -> str:
     if math.isnan(rate):
         return "not known"
-    return f"{rate:.2%} of recordings" if rate >= 1e-4 else "less than 0.01 % of recordings"
+    return (f"{100 * rate:.2f} % of recordings" if rate >= 1e-4 else
+            "less than 0.01 % of recordings")
 
 
 def _sentences(proposals, told, seconds, given) -> list[str]:

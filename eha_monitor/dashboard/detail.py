@@ -11,7 +11,7 @@ from eha_monitor.dashboard import charts, words
 from eha_monitor.dashboard.events import MISMATCH
 from eha_monitor.dashboard.history import Span, thinned
 from eha_monitor.dashboard.state import STAGES, Actuator, State, View, alarms
-from eha_monitor.health.alarms import ALARM_NAMES, WATCHED, Watched
+from eha_monitor.health.alarms import ALARM_NAMES, NO_LIMIT, WATCHED, Watched
 from eha_monitor.health.judge import DIAGNOSIS
 from eha_monitor.quantity import NOTE, SYMBOLS, readable
 
@@ -269,7 +269,8 @@ class Detail:
 
     def _refresh_alarm(self, view: View, name: str, word: str, content: str) -> None:
         level, message, given, answer = self._alarms[name]
-        level.show(word, quiet=name in view.acknowledged)
+        level.show("STALE" if content == NO_LIMIT else word,
+                   "–" if content == NO_LIMIT else "", name in view.acknowledged)
         message.set_text(content)
         by = words.acknowledged_text(view, name)
         given.set_text(by)

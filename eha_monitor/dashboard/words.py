@@ -9,10 +9,11 @@ from datetime import datetime
 from eha_monitor.dashboard import state
 from eha_monitor.dashboard.events import ACKNOWLEDGED
 from eha_monitor.estimation.results import units_of
-from eha_monitor.health.alarms import NOT_JUDGED, SEVERITY
+from eha_monitor.health.alarms import NO_LIMIT, NOT_JUDGED, SEVERITY
 from eha_monitor.health.judge import DIAGNOSIS, MODEL_IN_FORCE, Finding
 from eha_monitor.quantity import SYMBOLS, Scale, number, readable, with_uncertainty
 from eha_monitor.settings import Settings
+from eha_monitor.words import probability
 
 # A level has a sign and a word, so that it is readable without its colour.
 SIGNS = {"OK": "✓", NOT_JUDGED: "?", "WARN": "▲", "ERROR": "✖", "STALE": "◌"}
@@ -86,12 +87,13 @@ def overall(view: state.View) -> tuple[str, str]:
     if not view.findings or (data is not None and data.level == "STALE"):
         return "STALE", level_text("STALE")
     mismatch = [view.findings["model_mismatch"]] if "model_mismatch" in view.findings else []
-    listed = state.alarms(view)
+    # Without a limit there is no level, and no OK.
+    listed = [finding for finding in state.alarms(view) if finding.message != NO_LIMIT]
     judged = [finding for finding in listed if finding.word not in ("STALE", NOT_JUDGED)]
     # A value beyond its limit that a misfit holds back must be visible.
     held = [one for one in listed if one.word == NOT_JUDGED and one.level == "WARN"]
-    if not (judged or held):
-        return "STALE", "◌ not judged yet"
+    if not (judged or held or (not listed and worst(mismatch) == "WARN")):
+        return "STALE", "◌ not judged yet" if listed else "◌ no limits set"
     level = worst([*judged, *held, *(one for one in mismatch if one.level != "STALE")])
     left = len(listed) - len(judged)
     return level, level_text(level) + (f", {left} of {len(listed)} not judged" if left else "")
@@ -178,10 +180,8 @@ def diagnosis_lines(view: state.View) -> list[str]:
     # Names are those of the catalogue there, as programs read them too.
     lines = [_local_times(model).replace("_", " ")] if model is not None else []
     for one in found.values():
-        probability = _written(100.0 * float(one.values["probability"]), 3) if one.values.get(
-            "probability") else ""
-        lines.append(_local_times(one) + (f" (probability {probability} %)" if probability
-                                          else ""))
+        chance = one.values.get("probability")
+        lines.append(_local_times(one) + (f" ({probability(float(chance))})" if chance else ""))
     if head.values.get("state") not in ("idle", None):
         lines.append(str(head.values["state"]))
     if head.values.get("report"):

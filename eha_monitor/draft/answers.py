@@ -10,6 +10,7 @@ from pydantic_core import PydanticCustomError
 from eha_monitor.errors import InputError
 from eha_monitor.quantity import quantity
 from eha_monitor.settings.channels import CHANNELS, unit_of
+from eha_monitor.settings.lost_units import beyond
 from eha_monitor.settings.rig import Rig
 from eha_monitor.units import TURNING, to_si
 
@@ -22,16 +23,15 @@ SHEET = {"bore": ("m", "bore of the cylinder"), "rod": ("m", "diameter of the ro
          "spring_rest": ("m", "position at which that spring is relaxed")}
 SIGNED = {"inclination": 0.5001 * pi, "spring_rest": 10.0}  # largest, either sign
 SUCH_AS = {"inclination": "20 deg", "spring_rest": "40 mm"}
-# Smallest and largest of any actuator that turns or travels, SI, and how a person writes one: what
-# lies outside has lost its unit.  Zero is no oil, no leak, no source.
-POSSIBLE = {"bore": (1e-3, 2.0, "40 mm"), "rod": (1e-3, 2.0, "25 mm"),
-            "stroke": (1e-4, 50.0, "200 mm"), "line_volume": (1e-9, 1.0, "10 cm^3"),
-            "area_1": (1e-7, 4.0, "5.05 cm^2"), "area_2": (1e-7, 4.0, "5.05 cm^2"),
-            "volume_1": (1e-9, 50.0, "68.5 cm^3"), "volume_2": (1e-9, 50.0, "68.5 cm^3"),
-            "mass": (1e-6, 1e6, "20 kg"), "pump_displacement": (1e-10, 1e-2, "1.6 cm^3/rev"),
-            "charge_pressure": (1e3, 1e8, "20 bar"), "ambient_pressure": (1e3, 1e8, "1 bar"),
-            "leakage": (1e-18, 1e-6, "5e-13"), "makeup_conductance": (1e-18, 1e-6, "1e-13"),
-            "spring": (1.0, 1e12, "8000 N/m")}
+# Smallest and largest of any actuator that turns or travels, SI, beside those of the config's own
+# keys, and how a person writes one: what lies outside has lost its unit.
+_POSSIBLE = {"bore": (1e-3, 2.0), "rod": (1e-3, 2.0), "stroke": (1e-4, 50.0),
+             "line_volume": (1e-9, 1.0), "spring": (1.0, 1e12)}
+_SUCH_AS = {"bore": "40 mm", "rod": "25 mm", "stroke": "200 mm", "line_volume": "10 cm^3",
+            "area_1": "5.05 cm^2", "area_2": "5.05 cm^2", "volume_1": "68.5 cm^3",
+            "volume_2": "68.5 cm^3", "mass": "20 kg", "pump_displacement": "1.6 cm^3/rev",
+            "charge_pressure": "20 bar", "ambient_pressure": "1 bar", "leakage": "5e-13",
+            "makeup_conductance": "1e-13", "spring": "8000 N/m", "sample_time": "1 ms"}
 # Questions with a few answers; the config's numbers, effects and units follow from them.
 CHOICES = {
     "machine": ("double_rod", "two_pumps", "accumulator", "valve", "force"),
@@ -120,7 +120,7 @@ def answers_of(given: tuple[str, ...]) -> Answers:
             channels.setdefault(name, {})[part] = value
             continue
         key = key.removeprefix("rig.")
-        rig[key] = _absolute(value) if key in _PRESSURES else value
+        rig[key] = value
         checked(key, rig[key])
     answers = Answers(rig, channels)
     bore, rod = answers.number("bore"), answers.number("rod")
@@ -128,16 +128,6 @@ def answers_of(given: tuple[str, ...]) -> Answers:
         raise InputError(f"--set rod={rig['rod']}: expected a rod thinner than the bore of "
                          f"{rig['bore']}")
     return answers
-
-
-def _absolute(text: str) -> str:
-    """Return a gauge pressure, such as ``12 bar gauge``, as an absolute one; others as given."""
-    value, _, unit = text.partition(" ")
-    try:
-        of = unit_of(unit)
-        return f"{of.factor * float(value) + of.zero:.9g} Pa" if of.zero else text
-    except ValueError:
-        return text
 
 
 def checked(key: str, text: str, unit: str = "") -> float | None:
@@ -167,20 +157,21 @@ def checked(key: str, text: str, unit: str = "") -> float | None:
     si = unit or (SHEET[key][0] if key in SHEET else
                   (fields[key].json_schema_extra or {}).get("unit", "1"))
     words = SHEET[key][1] if key in SHEET else (fields[key].description if key in fields else key)
-    number = to_si_of(key, text, si, words)
+    number = to_si_of(key, text, si, words, key in _PRESSURES and not unit)
     if key in SIGNED and not unit:
         if not abs(number) <= SIGNED[key]:
             raise InputError(f"--set {key}: expected {words}, at most {SIGNED[key]:.3g} {si}, "
                              f"such as '{SUCH_AS[key]}', got '{text}'")
     elif not unit and not number >= 0:
         raise InputError(f"--set {key}: expected at least 0 {si}, got '{text}'")
-    if key in POSSIBLE and not unit and number:
-        low, high, such_as = POSSIBLE[key]
-        if not low <= number <= high:
-            unit_lost = f"; a number alone is in {si}" if _alone(text) else ""
-            raise InputError(f"--set {key}: expected {words.partition(';')[0]} from "
-                             f"{quantity(low, si)} to {quantity(high, si)}, such as '{such_as}', "
-                             f"got '{text}'{unit_lost}")
+    possible = None if unit else _POSSIBLE.get(key) or (
+        (fields[key].json_schema_extra or {}).get("possible") if key in fields else None)
+    if possible and beyond(number, possible):
+        low, high = (quantity(one, si) for one in possible)
+        such_as = f", such as '{_SUCH_AS[key]}'" if key in _SUCH_AS else ""
+        unit_lost = f"; a number alone is in {si}" if _alone(text) else ""
+        raise InputError(f"--set {key}: expected {words.partition(';')[0]} from {low} to {high}"
+                         f"{such_as}, got '{text}'{unit_lost}")
     return number
 
 
@@ -193,7 +184,7 @@ def _alone(text: str) -> bool:
         return False
 
 
-def to_si_of(key: str, text: str, unit: str, words: str) -> float:
+def to_si_of(key: str, text: str, unit: str, words: str, absolute: bool = False) -> float:
     """Return an answer in SI, of a number or of a number with a unit.
 
     What an angle is of was not read yet: the unit of a rig that turns is as good, and the config
@@ -210,7 +201,7 @@ def to_si_of(key: str, text: str, unit: str, words: str) -> float:
         turning = TURNING.get(unit, unit)
         for one in (unit, turning):
             try:
-                return to_si(text, one)
+                return to_si(text, one, absolute)
             except PydanticCustomError:
                 continue
         either = f" (of a rotary actuator {turning})" if turning != unit else ""

@@ -394,7 +394,10 @@ def _told(finding: ChannelFinding) -> str:
 
 
 def as_answered(found: Map, answers: Answers) -> Map:
-    """Take the pressures as ``pressures`` was answered, unless their unit says it itself."""
+    """Take the pressures as ``pressures`` was answered, unless their unit says it itself.
+
+    Both answers stand in the unit, so that nothing that the values look like overrules them.
+    """
     answered = answers.rig.get("pressures")
     for name in ("p1", "p2") if answered else ():
         guess = found.channels.get(name)
@@ -403,8 +406,8 @@ def as_answered(found: Map, answers: Answers) -> Map:
             raise InputError(f"--set pressures={answered}: '{guess.candidate.shown}' is in "
                              f"'{guess.unit}', which is {said}; expected pressures={said}, or "
                              f"another {name}.unit")
-        if guess and guess.unit and not said and answered == "gauge":
-            found = _as_gauge(found, name, "answered: gauge")
+        if guess and not guess.full and not said:
+            found = _counted_from(found, name, answered, f"answered: {answered}")
     return found
 
 
@@ -414,9 +417,10 @@ def absolute(found: Map) -> list[str]:
             and found.channels[name].unit and not counted_from(found.channels[name].unit)]
 
 
-def _as_gauge(found: Map, name: str, why: str) -> Map:
+def _counted_from(found: Map, name: str, over: str, why: str) -> Map:
     guess = found.channels[name]
-    return found.with_channel(name, replace(guess, unit=f"{guess.unit} gauge", why=why))
+    unit = f"{guess.unit or 'Pa'} {over}"  # messages are in SI
+    return found.with_channel(name, replace(guess, unit=unit, why=why))
 
 
 def not_absolute(found: Map, recording: Recording, answers: Answers) -> tuple[Map, str]:
@@ -439,5 +443,5 @@ def not_absolute(found: Map, recording: Recording, answers: Answers) -> tuple[Ma
     if name not in open_:
         return found, f"{why}: is '{found.channels[name].unit}' right?"
     for name in open_:
-        found = _as_gauge(found, name, f"values: {why}")
+        found = _counted_from(found, name, "gauge", f"values: {why}")
     return found, ""

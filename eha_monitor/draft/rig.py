@@ -27,8 +27,9 @@ _TOLERANCES = {"area_1": (0.005, 0.01, 0.0), "area_2": (0.005, 0.01, 0.0),
 _FACTORS = ("leakage", "makeup_conductance")
 LOADS = {"gravity": ("inclination",), "spring": ("spring", "spring_rest")}
 QUESTIONS = {
-    "machine": "machine: double_rod (pump-controlled), two_pumps or accumulator (single rod), "
-               "valve (cylinder behind a valve), force (axis with a measured force or torque)",
+    "machine": "kind of machine: double_rod (pump-controlled), two_pumps or accumulator (single "
+               "rod), valve (cylinder behind a valve), force (axis with a measured force or "
+               "torque)",
     "load": "load on the rod beside mass and friction: none, gravity, spring, or unknown (a "
             "linkage, a process)",
     "inclination": "inclination of the axis, such as 20 deg, positive if growing x lifts the load",
@@ -300,7 +301,10 @@ def _charge(answers: Answers, seen: Seen, *areas: Entry) -> Entry:
 
 
 def effects_of(answers: Answers, entries: list[Entry], seen: Seen) -> list[Entry]:
-    """Return the lines of ``effects``: the load that was answered, volumes that change with x.
+    """Return the lines of ``effects``: a constant load, a spring, volumes that change with x.
+
+    F = A1 p1 - A2 p2 is of absolute pressures, so what the open air does to the rod's own end,
+    p_a (A1 - A2) against growing x, is a load, whatever zero the sensors have.
 
     Raises
     ------
@@ -316,10 +320,15 @@ def effects_of(answers: Answers, entries: list[Entry], seen: Seen) -> list[Entry
                      if entry.key in ("area_1", "area_2", "volume_1", "volume_2", "mass")}
     load, slope, spring = (answers.rig.get("load"), answers.number("inclination"),
                            answers.number("spring"))
-    if load == "gravity" and slope is not None and "mass" in answers.rig:
-        weight = of["mass"] * GRAVITY * sin(slope)
-        found.append(Entry("constant_load", f"{{F_0: {number(weight)}}}", "answered: weight of "
-                           f"the mass at {answers.rig['inclination']}, N against growing x"))
+    weight = (of["mass"] * GRAVITY * sin(slope)
+              if load == "gravity" and slope is not None and "mass" in answers.rig else 0.0)
+    air = 0.0 if turns else _open_air(answers, of["area_1"], of["area_2"])
+    if weight or air:
+        words = [f"weight of the mass at {answers.rig['inclination']}"] if weight else []
+        words += [f"what the open air does to the rod's end, p_a (A1 - A2) = {air:.4g} N"
+                  ] if air else []
+        found.append(Entry("constant_load", f"{{F_0: {number(weight + air)}}}",
+                           f"answered: {' and '.join(words)}, N against growing x"))
     if load == "spring" and spring:
         rest = answers.number("spring_rest") or 0.0
         found.append(Entry("spring_load", f"{{k: {number(spring)}, x_0: {number(rest)}}}",
@@ -328,12 +337,24 @@ def effects_of(answers: Answers, entries: list[Entry], seen: Seen) -> list[Entry
     zero, who = zero_of(answers, seen)
     shrinking = of["volume_1" if zero == "extended" else "volume_2"]
     if zero != "middle" and shrinking and of["area_1"] and not answers.lacks("volume_1"):
-        # One area for both chambers; of a single rod the mean, as long as oil is left at the end.
         reach = max(map(abs, seen.span)) if seen.span else answers.number("stroke") or 1.0
-        slope = min(0.5 * (of["area_1"] + of["area_2"]), 0.8 * shrinking / reach)
-        found.append(Entry("position_dependent_volume", f"{{A_v: {number(slope)}}}", f"{who}: x = "
-                           "0 is at an end; the volumes above hold there and change with x"))
+        ratio = (of["area_2"] or of["area_1"]) / of["area_1"]
+        shrinks = 1.0 if zero == "extended" else ratio  # of A_v, how fast that chamber does
+        slope = min(of["area_1"], 0.98 * shrinking / (reach * shrinks))  # some oil is left
+        own = "" if ratio == 1.0 else f", r: {number(ratio)}"
+        found.append(Entry("position_dependent_volume", f"{{A_v: {number(slope)}{own}}}",
+                           f"{who}: x = 0 is at an end; the volumes above hold there and change "
+                           "with x"))
     return found
+
+
+def _open_air(answers: Answers, area_1: float | None, area_2: float | None) -> float:
+    """Return p_a (A1 - A2), N; nothing where an area is not known."""
+    if not area_1 or not area_2:
+        return 0.0
+    ambient = answers.number("ambient_pressure")
+    return (Rig.model_fields["ambient_pressure"].default if ambient is None else ambient) * (
+        area_1 - area_2)
 
 
 def tolerances(entries: list[Entry]) -> list[Entry]:

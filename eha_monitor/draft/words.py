@@ -4,7 +4,7 @@ import re
 import unicodedata
 from dataclasses import dataclass
 
-from eha_monitor.settings.channels import unit_of
+from eha_monitor.settings.channels import check_unit, unit_of
 
 # Quantity -> parts of long words, and whole short words.
 ANGLES = ("angle", "angulo", "winkel", "angolo", "rotation")
@@ -210,6 +210,26 @@ def _chamber(words: list[str]) -> int:
     if long:
         return max(long, key=lambda one: len(one[0]))[1]
     return 0
+
+
+def other_quantity(name: str, channel: str, unit: str, rotary: bool = False) -> str:
+    """Return the unit that a column's name says, where no such channel can be in it; else "".
+
+    A share or counts are of anything.
+
+    Parameters
+    ----------
+    channel, unit : what the column is taken for, and in which unit; "": SI.
+    """
+    _, said, kind = parted(name)
+    if kind in ("", "share", "counts"):
+        return ""
+    try:
+        for of in (said, unit or said):
+            check_unit(channel, of, rotary)
+    except ValueError:
+        return said
+    return ""
 
 
 def beside_chamber(name: str) -> list[str]:

@@ -14,6 +14,7 @@ from eha_monitor.recordings.columns import blocks
 LENGTHS = (1, 2, 4, 8, 16, 32, 64, 128, 256, 512, 1024)  # samples in a block
 # Verdict: a ratio must be beyond what chance gives AND large enough to matter.
 SIGNIFICANCE = 6.0  # standard deviations of the ratio under white noise
+HUGE = 1e4  # times the noise: a larger number tells nobody more
 TOLERANCE = 1.6  # ratio of variances: the filters' own approximations stay below (measured)
 SMALLEST_SAMPLES = 200
 MOST_HOPPING, MOST_GROWING = 1.0 / 3.0, 0.7  # share of a record that may be left out
@@ -184,6 +185,13 @@ def stage_verdict(stage: Stage, parameter: ParameterEstimate, innovation: np.nda
     return verdict if not verdict.consistent and verdict.variance_ratio > GROSS else None
 
 
+def _times(variance_ratio: float) -> str:
+    """Return in words how far a prediction is off, of its variance over what the noise makes."""
+    size = float(np.sqrt(variance_ratio))
+    return (f"{number(size, 3)} times the noise" if size < HUGE else
+            f"more than {HUGE:g} times the noise")
+
+
 def judge(innovation: np.ndarray, stddev: np.ndarray, window: Window, stage: str, missing: str,
           changes: np.ndarray | None = None) -> Consistency | None:
     """Judge one stage's innovations.
@@ -235,14 +243,11 @@ def judge(innovation: np.ndarray, stddev: np.ndarray, window: Window, stage: str
     decisive = bool(loudest >= LOCAL or ((judged > 0) & (deviate > SIGNIFICANCE)).any())
     consistent = not judged.any() and loudest < LOCAL
     if consistent:
-        message = (f"{stage}: innovations as expected: NIS {nis:.2f}, white at all scales "
-                   f"(largest variance ratio {ratio:.2f})")
+        message = f"{stage}: off by no more than the noise, from one sample to the whole recording"
     elif judged.any():
-        message = (f"{stage}: innovations over {length * dt:.3g} s are "
-                   f"{number(np.sqrt(ratio), 3)} times too large (NIS {number(nis, 3)}), worst "
-                   f"near t = {peak_time:.2f} s: {missing}")
+        message = (f"{stage}: off by {_times(ratio)} over {length * dt:.3g} s, worst near "
+                   f"t = {peak_time:.2f} s: {missing}")
     else:
-        message = (f"{stage}: innovations near t = {peak_time:.2f} s are "
-                   f"{number(np.sqrt(loudest), 3)} times too large: {missing}")
+        message = f"{stage}: off by {_times(loudest)} near t = {peak_time:.2f} s: {missing}"
     return Consistency(n, nis, ratio, length * dt, peak_time, bool(consistent), message,
                        first_time, decisive)

@@ -216,12 +216,14 @@ def change_events(seen: Changes, dt: float, stage: Stage, unit: str) -> list[Eve
     events = []
     runs = np.split(changes, np.flatnonzero(np.diff(changes[:, 0]) * dt > 1.0) + 1)
     for run in runs:
-        if len(run):
+        before, after = (quantity(value, unit) for value in (run[0, 1], run[-1, 2])) if len(
+            run) else ("", "")
+        if before != after:  # both may be at the bound
             since = ("" if len(run) == 1
                      else f" in {len(run)} steps from t = {run[0, 0] * dt:.2f} s")
             events.append(Event(float(run[-1, 0] * dt), stage.key,
-                                f"{symbol} changed from {quantity(run[0, 1], unit)} to "
-                                f"{quantity(run[-1, 2], unit)}{since}", stage.parameter))
+                                f"{symbol} changed from {before} to {after}{since}",
+                                stage.parameter))
     if found > len(changes):
         events.append(Event(float(changes[-1, 0] * dt), stage.key,
                             f"{found - len(changes)} further changes of {symbol} are not "

@@ -7,10 +7,13 @@ import numpy as np
 
 from eha_monitor.estimation import stage_one, stage_two
 from eha_monitor.estimation.inputs import Inputs
-from eha_monitor.estimation.rig_model import moved_mass
+from eha_monitor.estimation.modelled import contributions_along
+from eha_monitor.estimation.rig_model import RigModel, moved_mass
 from eha_monitor.estimation.stage_one import ConstantsOne, new_state_one
 from eha_monitor.estimation.stage_two import ConstantsTwo, StateTwo, new_state_two
 from eha_monitor.estimation.supervision import gave_up
+from eha_monitor.physics.contributions import new_memory
+from eha_monitor.physics.signals import FORCE, N_CONTRIBUTIONS, N_SIGNALS, P1, P2, V, X
 from eha_monitor.physics.signals import M as MASS_PLACE
 from eha_monitor.recordings.columns import Table, any_of, blocks, let_go
 from eha_monitor.settings.monitor import Settings
@@ -101,16 +104,31 @@ def run_stage_one_kernel(inputs: Inputs, settings: Settings, frozen: bool = Fals
     """
     constants, effects = constants_one(inputs, settings), inputs.model.effects
     state = new_state_one(settings.stage_one.prior, constants.prior_variance, frozen)
-    written, seen = Table(), Changes()
+    written, seen, memory = Table(), Changes(), new_memory()
     for piece in inputs.pieces():
         part = piece.inputs
         out, changes = np.empty((6, part.rows)), np.empty((MOST_EVENTS, 4))
         found = engine_of(settings)[0](part.rows_one(), constants, effects, state, piece.first,
                                        out, changes)
         seen.add(changes, found, piece.row - piece.first)
-        acceleration = (part.force.start - out[2] * out[1]) / effects.theta[MASS_PLACE]
+        acceleration = (part.force.start - out[2] * out[1] - modelled_along(
+            part, out, inputs.model, memory)) / effects.theta[MASS_PLACE]
         written.append(np.vstack([out, acceleration])[:, piece.first:])
     return written.values(), seen, state.watch
+
+
+def modelled_along(part: Inputs, out: np.ndarray, model: RigModel, memory: np.ndarray
+                   ) -> np.ndarray | float:
+    """Return the force of the config's effects at the states of stage one, (n,) N.
+
+    ``memory`` is theirs, and goes on from part to part.
+    """
+    if not len(model.effects.plain) + len(model.effects.remembering):
+        return 0.0
+    track, found = np.zeros((part.rows, N_SIGNALS)), np.empty((part.rows, N_CONTRIBUTIONS))
+    track[:, X], track[:, V], track[:, P1], track[:, P2] = out[0], out[1], part.p1, part.p2
+    contributions_along(np.nan_to_num(track), part.dt, 2, model.theta, model.active, memory, found)
+    return found[:, FORCE]
 
 
 def most_telling(drive: np.ndarray, x: np.ndarray, length: int) -> int:

@@ -108,7 +108,7 @@ EFFECTS: dict[str, Written | tuple[Written, Written]] = {
         {"{self}_flow": "0", "{self}_pressure": "0"},
         ("{T_l}*der({self}_pressure) = {Z}*(omega - {self}_flow)",
          "{Z}*{T_l}*der({self}_flow) = {self}_pressure - dp - 2*{zeta}*{Z}*{self}_flow")),
-    "position_dependent_volume": Written({"volume_1": "{A_v}*x", "volume_2": "-{A_v}*x"}),
+    "position_dependent_volume": Written({"volume_1": "{A_v}*x", "volume_2": "-{A_v}*{r}*x"}),
     "presliding_friction": (dry(_COULOMB), rigid(_COULOMB)),
     "pressure_friction": (dry(_BY_PRESSURE), rigid(_BY_PRESSURE)),
     "pump_dead_zone": Written({"speed": "-min(max(omega, -{omega_0}), {omega_0})"}),

@@ -254,8 +254,8 @@ def plan_words(planned: Planned, dt: float) -> str:
     if planned.pair is not None:
         one, other = map(set_words, planned.pair)
         text += f", to distinguish {one} from {other} ({number(planned.log_units, 2)} log units)"
-    return (f"{text}; the right set is expected to have {percent(planned.expected)} after it, "
-            f"now {percent(planned.now)}")
+    return (f"{text}; probability of the right set of effects: now {percent(planned.now)}, "
+            f"expected after it {percent(planned.expected)}")
 
 
 def round_words(one: Round, count: int, dt: float) -> str:

@@ -359,7 +359,7 @@ class LiveEstimator:
         now = self._grid.time_of(state.taken)
         for found in tester.judge(self._grid.buffer, state.taken, state.changes,
                                   self._parameters(), state.quantum, self._grid.time_of):
-            self._report(found.stage, f"mismatch: {found.message}")
+            self._report(found.stage, f"mismatch: {found.message.partition(': ')[2]}")
         for stage in state.stages:
             stage.forget(*KEPT)
         standing = [stage for stage in STAGES if tester.standing(stage)]

@@ -57,7 +57,7 @@ def load_against(views: Sequence[Baseline], settings: Settings) -> list[str]:
              for name, area, way in (("p1", rig.area_1, high), ("p2", rig.area_2, low))]
     air = rig.ambient_pressure * (rig.area_1 - rig.area_2)
     rod = (f"; {quantity(air, load.unit, 3)} is what the open air does to the end of the rod"
-           if abs(air) > APART * load.stddev and rig.motion == "linear" else "")
+           if not given and abs(air) > APART * load.stddev and rig.motion == "linear" else "")
     return [f"{said}; a {zeros[0]}, or a {zeros[1]}, reads so too (offset of the channel){rod}"]
 
 

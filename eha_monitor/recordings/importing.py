@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
+from eha_monitor.draft.words import other_quantity
 from eha_monitor.errors import InputError
 from eha_monitor.recordings.align import align
 from eha_monitor.recordings.cdr import Series
@@ -12,6 +13,7 @@ from eha_monitor.recordings.recording import Recording
 from eha_monitor.recordings.tables import read_columns
 from eha_monitor.recordings.write import check_bag_target, write_recording
 from eha_monitor.settings import Settings, load_settings
+from eha_monitor.settings.channels import CHANNEL_WORDS
 
 SHUFFLED = 0.25  # share of steps backwards in time that neither jitter nor a clock makes
 
@@ -55,6 +57,14 @@ def read_table(file: str | Path, settings: Settings, *, map_source: str = "confi
     if not table.columns:
         raise InputError(f"{map_source}: table.columns: expected at least one channel, such as "
                          "x: {column: position, scale: 0.001}")
+    for name, column in table.columns.items():
+        said = column.scale == 1.0 and other_quantity(  # a scale may make another quantity of it
+            column.column, name, column.unit, settings.rig.motion == "rotary")
+        if said:
+            raise InputError(
+                f"{path}: table.columns.{name}: column '{column.column}' is in {said} by its "
+                f"name, expected a column of {CHANNEL_WORDS[name]}; if it is one, name it by its "
+                "index from 0")
     wanted = [column.column for column in table.columns.values()]
     cells = read_columns(path, table, list(dict.fromkeys(
         ([table.time] if table.time else []) + wanted)))

@@ -158,8 +158,9 @@ def motion_figure(x_d: np.ndarray, shown: np.ndarray, bounds: Experiment, rig: R
         for values, label, colour in signals:
             panel.signal(time, values, label, colour, width=1.3,
                          legend=len(signals) > 1)
-        for at in limits:
-            panel.add(fig.Level(at, "", fig.ERROR_LINE, dash="dash"))
+        for at, told in zip(limits, ("limit" if not i else "", *limits), strict=False):
+            panel.add(fig.Level(at, told if isinstance(told, str) else "", fig.ERROR_LINE,
+                                dash="dash"))
         panels.append(panel)
     return fig.Figure(tuple(panels), words, (1.0,) * len(panels),
                       (fig.WIDTH, _PLANNED_ROW * len(panels) + _FOOT))

@@ -25,14 +25,15 @@ from eha_monitor.archive.store import INDICATORS, PARAMETERS
 from eha_monitor.health.alarms import NOT_JUDGED
 from eha_monitor.indicators.indicator import WORDS, limits_of_indicator
 from eha_monitor.mismatch.diagnosis import Value
+from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.quantity import SYMBOLS, Scale, number, quantity, with_uncertainty
 from eha_monitor.reports import figure as fig
-from eha_monitor.reports.diagnosis_words import probability, value_words
+from eha_monitor.reports.diagnosis_words import value_words
 from eha_monitor.reports.estimate_figures import NAMES, add_limits, is_near, limits_of
 from eha_monitor.reports.estimate_report import STATUS_WORDS
 from eha_monitor.reports.page import Cell, Table, render, table
 from eha_monitor.settings.monitor import Settings
-from eha_monitor.words import effect_words, listed
+from eha_monitor.words import effect_words, listed, probability
 
 DAY = 86400.0  # s
 _ENLARGED = 0.4  # share of the picture with the limits below which the values get one of their own
@@ -358,9 +359,14 @@ def phrases(row: dict) -> list[str]:
 
 
 def effect_phrase(effect: dict) -> str:
-    """Return an effect with its values: ``Coulomb friction (F_c = 40.0 ± 0.2 N), 97 %``."""
+    """Return an effect with its sizes: ``Coulomb friction (F_c = 40.0 ± 0.2 N), 97 %``.
+
+    What the catalogue has a default for is its shape, and stands in the recording's own report.
+    """
+    entry = CATALOGUE.get(effect["name"])
+    shape = {p.name for p in entry.parameters if p.default is not None} if entry else set()
     values = ", ".join(f"{one['name']} = {_value(one['value'], one['stddev'], one['unit'])}"
-                       for one in effect["parameters"] or ())
+                       for one in effect["parameters"] or () if one["name"] not in shape)
     return _phrase(effect_words(effect["name"]) + (f" ({values})" if values else ""), effect)
 
 
@@ -399,7 +405,8 @@ def _row(row: dict, command: str, made_with: str, report: str) -> tuple[Cell, ..
                   "number"),
              Cell(quantity(row["duration_s"], "s") if row.get("duration_s") else "—", "number"),
              *(_parameter(row, name, command) for name in PARAMETERS),
-             Cell("", "message", row.get("alarm_message") or "", row.get("alarm") or ""),
+             Cell("", "message", (row.get("alarm_message") or "").removeprefix(
+                 f"{row.get('alarm')}: "), row.get("alarm") or ""),
              Cell("", "message", "; ".join(filter(None, (row.get("model_balance"), error))),
                   (row.get("verdict") or "").replace("_", " ") or row.get("model") or "",
                   _FITS.get(row.get("verdict"), "none") if command == "diagnose" else "")]

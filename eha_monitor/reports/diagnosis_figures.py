@@ -31,8 +31,8 @@ _SYMBOL_OF = {"velocity": "velocity v", "position": "position x", "omega": "pump
               "dp": "pressure difference Δp", "p": "mean pressure p", "p1": "pressure p₁",
               "p2": "pressure p₂", "angle": "angle of the shaft θ"}
 _FACTORS = {"dp": "Δp", "v": "v", "omega": "ω"}
-# In steady motion pump and piston go together; a force hangs on the piston.
-_INDIRECT, _STAND_IN = ("force", "pump_speed"), 0.5
+# In steady motion pump and piston go together; a force hangs on the piston, pressures on it.
+_INDIRECT, _STAND_IN = (("force", "pump_speed"), ("force", "pressure_difference")), 0.5
 _MOST_BARS = 70  # points with a bar each; more get a band
 _APART = 4.0  # times the usual distance of the dots: so far apart no line joins them
 
@@ -73,7 +73,7 @@ def informative(found: Diagnosis) -> list[MissingTerm]:
                 if np.isfinite(curve.measured * curve.x).sum() >= 2]
     return sorted(drawable, key=lambda curve: (
         curve.balance != blamed, (curve.against == "time") != timed,
-        -_contrast(curve) * (_STAND_IN if (curve.balance, curve.against) == _INDIRECT else 1.0)))
+        -_contrast(curve) * (_STAND_IN if (curve.balance, curve.against) in _INDIRECT else 1.0)))
 
 
 def _contrast(curve: MissingTerm) -> float:
@@ -95,7 +95,9 @@ def curve_figure(found: Diagnosis, curve: MissingTerm, large: bool = False) -> f
     named = listed([effect_words(effect.name) for effect in found.effects
                     if effect.balance == curve.balance]
                    + ["the learned term" for term in found.learned
-                      if term.balance == curve.balance])
+                      if term.balance == curve.balance]
+                   + ["what has changed" for change in found.changes[:1]
+                      if change.balance == curve.balance and not found.effects])
     with_line = bool(named) and bool(np.isfinite(modelled).any())
     spread = np.where(np.isfinite(spread), spread, 0.0)
     low, high, _ = robust_range([measured, measured - spread, measured + spread,

@@ -32,6 +32,7 @@ from eha_monitor.settings.monitor import Settings
 from eha_monitor.settings.own_terms import is_own
 from eha_monitor.settings.rig import Tolerance, corrected
 from eha_monitor.words import effect_words, listed
+from eha_monitor.words import probability as probability_words
 
 _MOST_CURVES = 6
 
@@ -100,8 +101,7 @@ def _first_screen(found: Diagnosis, curves: list[diagnosis.Curve], settings: Set
     shown = (found.before, found.after) if _compared(found) else (found.before,)
     heads = ("parameter", *(_names(found) if _compared(found) else ("model of the config",)))
     parameters = table(" | ".join(heads), [
-        (_symbol(name), *words.pair_words(found.before.get(name), found.after.get(name))[
-            :len(shown)])
+        (_symbol(name), *words.parameter_words(found, name)[:len(shown)])
         for name in dict.fromkeys((*found.before, *found.after))],
         " | ".join(("", *["value"] * len(shown))), "summary")
     return FirstScreen(
@@ -123,7 +123,10 @@ def _symbol(name: str) -> str:
 
 def _curve_note(found: Diagnosis, curve: diagnosis.Curve) -> str:
     dots, line = ("Grey", "Blue") if curve.against == "time" else ("Dots", "Line")
-    if found.effects:
+    if found.changes:
+        note = (f"{dots}: measured term that the model of the healthy recordings lacks. {line}: "
+                "what has changed.")
+    elif found.effects:
         note = (f"{dots}: measured term that the linear model lacks. {line}: the identified "
                 "effects.")
     elif found.rig_data:
@@ -216,7 +219,7 @@ def _rig_table(findings: Sequence[diagnosis.RigFinding], tolerance: Tolerance, k
         configured, said = words.rig_values(one)
         row = [one.key, configured, words.tolerance_words(tolerance, one.key), said]
         if wrong:
-            row += [words.beyond_words(tolerance, one), words.probability(one.probability),
+            row += [words.beyond_words(tolerance, one), probability_words(one.probability),
                     _rivals(one.indistinguishable_from) or "–"]
         rows.append(row)
     return table("number | config | its tolerance | recording"
@@ -243,7 +246,7 @@ def _effect(effect: diagnosis.NamedEffect, duration_s: float) -> dict[str, Any]:
     known = CATALOGUE.get(effect.name)
     about = {p.name: p.description for p in known.parameters} if known else {}
     source = f" ({known.source})" if known and known.source else ""
-    probability = words.probability(effect.probability)
+    probability = probability_words(effect.probability)
     balance = words.BALANCES.get(effect.balance, effect.balance)
     facts = [("probability", probability if probability != "—" else ""),
              ("indistinguishable from", _rivals(effect.indistinguishable_from)

@@ -3,7 +3,8 @@
 import math
 import re
 
-from eha_monitor.mismatch.diagnosis import Diagnosis, RigFinding, SignalFit, Value
+from eha_monitor.mismatch.diagnosis import Change, Diagnosis, RigFinding, SignalFit, Value
+from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.quantity import (
     SYMBOLS,
     Scale,
@@ -17,7 +18,7 @@ from eha_monitor.quantity import (
 from eha_monitor.settings.channels import CHANNELS
 from eha_monitor.settings.rig import Rig, Tolerance
 from eha_monitor.units import LARGEST
-from eha_monitor.words import listed
+from eha_monitor.words import listed, probability
 
 # Verdict -> (colour, first words).
 VERDICTS = {
@@ -81,6 +82,7 @@ def next_steps(found: Diagnosis, bags: str) -> tuple[str, ...]:
              f"{value_words(finding.found)}" for finding in found.rig_data]
     steps += [effect.rig_check for effect in found.effects if effect.rig_check][:1]
     if found.references and found.changes:
+        steps += [step for change in found.changes if (step := _look_for(change))]
         steps.append("find out why it has changed; after a repair `eha-monitor diagnose "
                      f"{bags} --reference ...` says whether it is as before")
     completed = found.verdict == "mismatch" or found.learned
@@ -93,6 +95,33 @@ def next_steps(found: Diagnosis, bags: str) -> tuple[str, ...]:
         steps.append("do not act on B and βe: they carry what is missing")
     steps += advice_in_parts(found)[0]
     return tuple(map(sentence, dict.fromkeys(steps))) or ("Nothing.",)
+
+
+# Parameter, and whether it is too high or has grown -> what to look for at the machine.
+LOOK_FOR = {
+    ("B", True): "look for what brakes the piston (worn or swollen seals, a side load, cold oil)",
+    ("B", False): "check the oil's temperature and grade, and the areas in the config",
+    ("beta_e", True): "check the volumes in the config",
+    ("beta_e", False): "look for air in the oil: bleed the circuit, check the suction side and "
+                       "the charge pressure"}
+
+
+def _look_for(change: Change) -> str:
+    """Return what to look for where a number has changed, or nothing where nobody knows."""
+    if change.what in CATALOGUE:
+        return CATALOGUE[change.what].rig_check
+    return LOOK_FOR.get((change.what, change.now.value > change.reference.value), "")
+
+
+def parameter_words(found: Diagnosis, name: str) -> tuple[str, str]:
+    """Return a parameter before (of healthy recordings) and after (now).
+
+    What has changed has the numbers of its own sentence.
+    """
+    for change in found.changes:
+        if change.what == name and not change.symbol:
+            return pair_words(change.reference, change.now)
+    return pair_words(found.before.get(name), found.after.get(name))
 
 
 def channels_in_parts(found: Diagnosis) -> tuple[tuple[str, ...], tuple[str, ...]]:
@@ -119,18 +148,6 @@ def windows_words(found: Diagnosis) -> str:
             else "the whole recording")
     return (f"Effects were identified on the most informative {number(length)} s ({where}); "
             f"the models were then run over {over}.")
-
-
-def probability(share_of_one: float) -> str:
-    """Return a probability in per cent; nothing is certain, so never 0 or 100.
-
-    >>> probability(0.9999), probability(0.97), probability(0.0)
-    ('>99 %', '97 %', '<1 %')
-    """
-    if not math.isfinite(share_of_one):
-        return "—"
-    whole = round(100 * min(max(share_of_one, 0.0), 1.0))
-    return ">99 %" if whole == 100 else "<1 %" if whole == 0 else f"{whole} %"
 
 
 def verdict_probability(found: Diagnosis) -> float:

@@ -15,7 +15,7 @@ from eha_monitor.indicators.indicator import Indicator
 from eha_monitor.quantity import FLOOR, ROTARY, SYMBOLS, number, quantity, share
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.reports import estimate_figures as figures
-from eha_monitor.reports.diagnosis_words import own_config, sentence
+from eha_monitor.reports.diagnosis_words import LOOK_FOR, own_config, sentence
 from eha_monitor.reports.estimate_figures import NAMES
 from eha_monitor.reports.page import (
     Cell,
@@ -39,16 +39,10 @@ STATUS_WORDS = {"converged": "converged", "not_excited": "not excited by this mo
 _SECTIONS = {watched.symbol: watched.section for watched in WATCHED}
 # Alarm -> what is wrong, and where to look first.
 _ALARMS = {
-    "viscous_damping_high": ("the viscous damping B is too high",
-                             "look for what brakes the piston (worn or swollen seals, a side "
-                             "load, cold oil)"),
-    "viscous_damping_low": ("the viscous damping B is too low",
-                            "check the oil's temperature and grade, and the areas in the config"),
-    "bulk_modulus_high": ("the effective bulk modulus βe is too high",
-                          "check the volumes in the config"),
-    "bulk_modulus_low": ("the effective bulk modulus βe is too low",
-                         "look for air in the oil: bleed the circuit, check the suction side and "
-                         "the charge pressure")}
+    "viscous_damping_high": ("the viscous damping B is too high", LOOK_FOR["B", True]),
+    "viscous_damping_low": ("the viscous damping B is too low", LOOK_FOR["B", False]),
+    "bulk_modulus_high": ("the effective bulk modulus βe is too high", LOOK_FOR["beta_e", True]),
+    "bulk_modulus_low": ("the effective bulk modulus βe is too low", LOOK_FOR["beta_e", False])}
 _STEPS = {"not_excited": "record a motion that excites {name} {symbol}: `eha-monitor advise "
                          "{bag}` proposes one",
           "diverged": "check the channels and the rig data in the config: the estimate of {name} "
@@ -295,8 +289,8 @@ def _seconds(time_s: float) -> str:
 def _alarm_table(alarms: tuple[Alarm, ...], key: str) -> Table:
     """Return one row for each alarm, or for each change of one."""
     return table("alarm | level | since | message", [
-        (alarm_words(a.name), Cell("", badge=a.word), _seconds(a.time_s), a.message)
-        for a in alarms], "number |  | number | message", key)
+        (alarm_words(a.name), Cell("–") if a.message == NO_LIMIT else Cell("", badge=a.word),
+         _seconds(a.time_s), a.message) for a in alarms], "number |  | number | message", key)
 
 
 def _joint_table(joint: JointResult) -> Table:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from eha_monitor.estimation.results import Event
-from eha_monitor.health.alarms import Alarm
+from eha_monitor.health.alarms import NO_LIMIT, Alarm
 from eha_monitor.quantity import number
 from eha_monitor.reports.figure import time_scale
 from eha_monitor.reports.traces import LARGEST
@@ -89,9 +89,12 @@ def spans(name: str, alarms: tuple[Alarm, ...], history: tuple[Alarm, ...], dura
 def alarm_timeline(alarms: tuple[Alarm, ...], history: tuple[Alarm, ...],
                    events: tuple[Event, ...], duration: float) -> Timeline:
     """Return the timeline of a recording of ``duration`` seconds."""
+    # Without a limit there is no level, and no OK.
+    alarms, history = (tuple(one for one in several if one.message != NO_LIMIT)
+                       for several in (alarms, history))
     names = list(dict.fromkeys(alarm.name for alarm in (*alarms, *history)))
     if not names and not events:
-        return Timeline(note="No alarm is configured and there was no event.")
+        return Timeline(note="No alarm has a limit, and there was no event.")
     if not duration > 0:
         return Timeline(note="The recording has no duration, so there is no timeline.")
     lanes = tuple((alarm_words(name), tuple(_bar(span, duration) for span in

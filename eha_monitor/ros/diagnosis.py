@@ -42,6 +42,7 @@ SLICE_S = 0.03  # of each turn, for an estimator that catches up
 EARLIER = 3  # bags of the same mismatch that are diagnosed with the newest
 LONGEST_S = 3600.0  # between two diagnoses of one mismatch
 SERVICE, AUTOMATIC = "service", "automatic"
+_BY = {SERVICE: "on the service", AUTOMATIC: "by itself"}
 
 
 class SelfDiagnosis:
@@ -212,7 +213,7 @@ class SelfDiagnosis:
         self._tries += 1
         since_ns = self._same[-1][1] + 1 if self._same else (
             0 if self._since_s is None else self._log_ns(self._since_s))
-        self._tell(f"diagnosis begun by {by}")
+        self._tell(f"diagnosis begun {_BY[by]}")
         self._keeper.save_since(since_ns, self._saved)
 
     def _log_ns(self, row_s: float) -> int:
@@ -346,7 +347,7 @@ class SelfDiagnosis:
         self._over()
         done = (f"reverted from {before.words if before else 'nothing'} to the config's model"
                 if self.adopted is None else f"adopted {self.adopted.words}")
-        self._tell(f"{done}, by {self._by} at {now}{unkept}")
+        self._tell(f"{done}, {_BY.get(self._by, self._by)}, at {now}{unkept}")
         service = self._services["revert" if self.adopted is None else "adopt"]
         service.take_up()
         service.answer(True, f"{done}{unkept}")

@@ -30,7 +30,14 @@ from rclpy.parameter import Parameter
 
 from eha_monitor.errors import InputError
 from eha_monitor.settings import Settings, settings_from_tree
-from eha_monitor.settings.load import ROS_OWN, ROS_PARAMETERS, merge, ros_sections, tree_of
+from eha_monitor.settings.load import (
+    ROS_OWN,
+    ROS_PARAMETERS,
+    check_units,
+    merge,
+    ros_sections,
+    tree_of,
+)
 from eha_monitor.settings.monitor import LIMITS
 from eha_monitor.units import LARGEST, to_si
 
@@ -192,7 +199,15 @@ def overridden(settings: Settings, changes: dict[str, Any], source: str,
                 raise InputError(f"{source}: {name}: {part} has no keys of its own")
             place = inner
         place[last] = value
+        check_units(_below(path, last, value), source)
     return settings_from_tree(tree, source)
+
+
+def _below(path: list[str], last: str, value: Any) -> dict:
+    tree = {last: value}
+    for part in reversed(path):
+        tree = {part: tree}
+    return tree
 
 
 def number_of(value: Any, unit: str) -> Any:

@@ -13,7 +13,7 @@ from typing import Annotated, Literal
 
 from pydantic import BeforeValidator, Field, field_validator
 
-from eha_monitor.units import Section, Si
+from eha_monitor.units import ATMOSPHERE, Section, Si
 
 _ABSOLUTE = "absolute (above vacuum), not gauge; of a gauge sensor: unit bar gauge"
 # Every channel there can be, in the order in which tables show them: SI unit and meaning.
@@ -25,8 +25,8 @@ _MEANING = {"x": ("m", "piston position"), "v": ("m/s", "piston velocity"),
             "force": ("N", "force that drives the piston, if measured"),
             "temperature": ("°C", "oil temperature")}
 CHANNELS = tuple(_MEANING)
+CHANNEL_WORDS = {name: words.partition(",")[0] for name, (_, words) in _MEANING.items()}
 CHANNEL_UNITS = {name: unit for name, (unit, _) in _MEANING.items()}
-ATMOSPHERE = 101_325.0  # Pa; what a gauge pressure is counted from
 
 # Spellings of headers and data sheets, in several languages, for pint.  "1/min" of a shaft are
 # revolutions, which pint would take for radians.
@@ -191,7 +191,8 @@ class Column(Section, Measured):
         None, allow_inf_nan=False, description="scale of cells below zero, if different: a pump "
                                                "whose valves switch it from one piston area to "
                                                "the other")
-    delay: Si("s", "delay of the row relative to the quantity") = 0.0
+    delay: Si("s", "delay of the row relative to the quantity",
+              possible=(1e-9, 2.0)) = 0.0
 
     @property
     def negative_gain(self) -> float:
@@ -237,7 +238,8 @@ class Channel(Section, Measured):
                       "gauge; empty: SI")
     scale: float = Field(1.0, allow_inf_nan=False, description="of unit, per raw unit, not 0")
     offset: float = Field(0.0, allow_inf_nan=False, description="in unit, at raw zero")
-    delay: Si("s", "delay of the stamp relative to the quantity") = 0.0
+    delay: Si("s", "delay of the stamp relative to the quantity",
+              possible=(1e-9, 2.0)) = 0.0
 
     @field_validator("scale")
     @classmethod

@@ -15,6 +15,7 @@ from pydantic.fields import FieldInfo
 from eha_monitor.errors import InputError
 from eha_monitor.output import check_regular
 from eha_monitor.physics.effects import CATALOGUE
+from eha_monitor.settings.lost_units import beyond, lost_units, no_such_column, plain
 from eha_monitor.settings.monitor import Settings
 
 LARGEST = 1024 * 1024  # bytes of a config
@@ -47,7 +48,7 @@ def load_settings(path: str | Path | None) -> Settings:
     InputError
         One line: file, key, what was expected.
     """
-    return Settings() if path is None else settings_from_tree(tree_of(path), str(path))
+    return Settings() if path is None else settings_from_tree(tree_of(path), str(path), True)
 
 
 def settings_of(text: str, source: str) -> Settings:
@@ -95,8 +96,11 @@ def text_tree(text: str, path: Path | str):
         raise InputError(f"{path}: expected YAML, cannot parse{line}: {what}") from problem
 
 
-def settings_from_tree(tree, source: str) -> Settings:
-    """Validate a parsed YAML tree; ``source`` names it in errors."""
+def settings_from_tree(tree, source: str, by_hand: bool = False) -> Settings:
+    """Validate a parsed YAML tree; ``source`` names it in errors.
+
+    ``by_hand``: a person wrote it, who may have lost a unit.
+    """
     if tree is None:
         tree = {}
     if not isinstance(tree, dict):
@@ -112,7 +116,18 @@ def settings_from_tree(tree, source: str) -> Settings:
                 name = " ".join(name.split())[:100]
                 raise InputError(f"{source}: {name}.{ROS_PARAMETERS}: expected a mapping")
             merge(merged, _from_ros(parameters))
-    return validated(Settings, merged, source)
+    settings = validated(Settings, merged, source)
+    if by_hand:
+        check_units(merged, source)
+        if not_given := no_such_column(settings.rig):
+            raise InputError(f"{source}: {not_given}")
+    return settings
+
+
+def check_units(tree: dict, source: str) -> None:
+    """Refuse numbers alone that no actuator has, in one line."""
+    for line in lost_units(tree, lambda path: _section_at(Settings, path)):
+        raise InputError(f"{source}: {line}")
 
 
 def validated(model: type[Model], tree: dict, source: str | Path) -> Model:
@@ -258,7 +273,7 @@ def _section(model: BaseModel, indent: int, explain: bool = True,
                 yield from _pattern(field.annotation, margin)
         else:
             unset = _unset(value, field) and getattr(usual, key, value) == value
-            yield from _entry(f"{key}: {_scalar(value)}", about, margin, unset)
+            yield from _entry(f"{key}: {_in_unit(value, field)}", about, margin, unset)
 
 
 def _inside(value: BaseModel | dict, indent: int, explain: bool, entries: Mapping[str, str],
@@ -342,6 +357,15 @@ def _choices(annotation: Any) -> str:
     if get_origin(annotation) is tuple:
         return f"list of {_choices(get_args(annotation)[0])}"
     return ""
+
+
+def _in_unit(value: Any, field: FieldInfo) -> str:
+    """Return a scalar; a number that reads as one without its unit has it."""
+    extra = field.json_schema_extra
+    possible = extra.get("possible") if isinstance(extra, dict) else None
+    if possible and isinstance(value, float) and beyond(value, possible):
+        return f'"{value!r} {plain(extra["unit"])}"'
+    return _scalar(value)
 
 
 def _scalar(value: Any) -> str:

@@ -25,13 +25,16 @@ class Experiment(Section):
     not.
     """
 
-    lower: Si("m", "lowest position that the piston may reach", optional=True) = None
-    upper: Si("m", "highest position that the piston may reach", optional=True) = None
-    speed: Si("m/s", "largest speed of the piston, in either direction", gt=0, optional=True
-              ) = None
+    lower: Si("m", "lowest position that the piston may reach", optional=True,
+              possible=(1e-6, 20.0)) = None
+    upper: Si("m", "highest position that the piston may reach", optional=True,
+              possible=(1e-6, 20.0)) = None
+    speed: Si("m/s", "largest speed of the piston, in either direction", gt=0, optional=True,
+              possible=(1e-5, 20.0)) = None
     acceleration: Si("m/s²", "largest acceleration of the piston, in either direction", gt=0,
                      optional=True) = None
-    pressure: Si("Pa", "highest absolute pressure in either chamber", gt=0, optional=True) = None
+    pressure: Si("Pa", "highest absolute pressure in either chamber", gt=0, optional=True,
+                 absolute=True, possible=(1e4, 1e9)) = None
     motion_time: Si("s", "longest time of one motion, with the way to where it begins", gt=0,
                     le=3600) = 12.0
     total_time: Si("s", "longest time of all motions together", gt=0, le=86400) = 60.0
@@ -109,10 +112,10 @@ class StageOne(Section):
 class StageTwo(Section):
     """Stage two (Eq. 5): effective bulk modulus from demanded and measured position."""
 
-    prior: Si("Pa", "effective bulk modulus before any data", gt=0) = 5e8
+    prior: Si("Pa", "effective bulk modulus before any data", gt=0, possible=(1e5, 1e12)) = 5e8
     prior_stddev: Si("Pa", "standard deviation of the prior", gt=0) = 1e9
     largest: Si("Pa", "above the modulus of the oil itself; a larger estimate counts as diverged",
-                gt=0) = 5e9
+                gt=0, possible=(1e5, 1e12)) = 5e9
     damping_stddev: Si("N·s/m", "standard deviation of B if stage one provides none",
                        gt=0) = 100.0
     acceleration_noise: Si("m/s²", "unmodelled white acceleration on each sample", ge=0) = 0.0
@@ -139,16 +142,17 @@ class Limits(Section):
         return self
 
 
-def _limits_in(unit: str, name: str) -> type[Limits]:
+def _limits_in(unit: str, name: str, possible: tuple[float, float] | None = None
+               ) -> type[Limits]:
     """Return the section of thresholds whose limits have a unit; it is pickled by its name."""
     words = {"low_error": "below this: ERROR", "low_warn": "below this: WARN",
              "high_warn": "above this: WARN", "high_error": "above this: ERROR"}
     return create_model(name, __base__=Limits, __doc__=Limits.__doc__, __module__=__name__, **{
-        key: (Si(unit, words[key], optional=True), None) for key in LIMITS})
+        key: (Si(unit, words[key], optional=True, possible=possible), None) for key in LIMITS})
 
 
 DampingLimits = _limits_in("N·s/m", "DampingLimits")
-ModulusLimits = _limits_in("Pa", "ModulusLimits")
+ModulusLimits = _limits_in("Pa", "ModulusLimits", (1e5, 1e12))
 
 
 class Thresholds(Section):

@@ -59,27 +59,32 @@ class Rig(Section):
     identified: str = Field("", description="numbers of this section, and effects, that "
                             "recordings determined, comma separated; diagnose --write-config "
                             "writes it, and exports call only these identified")
-    area_1: Si("m²", "piston area of chamber 1", gt=0, optional=True) = 5.05e-4
-    area_2: Si("m²", "piston area of chamber 2", gt=0, optional=True) = 5.05e-4
+    area_1: Si("m²", "piston area of chamber 1", gt=0, optional=True,
+               possible=(1e-7, 4.0)) = 5.05e-4
+    area_2: Si("m²", "piston area of chamber 2", gt=0, optional=True,
+               possible=(1e-7, 4.0)) = 5.05e-4
     volume_1: Si("m³", "oil volume of chamber 1 at x = 0, lines included", gt=0,
-                 optional=True) = 6.85e-5
+                 optional=True, possible=(1e-9, 50.0)) = 6.85e-5
     volume_2: Si("m³", "oil volume of chamber 2 at x = 0, lines included", gt=0,
-                 optional=True) = 6.85e-5
-    mass: Si("kg", "moving mass", gt=0) = 20.0
+                 optional=True, possible=(1e-9, 50.0)) = 6.85e-5
+    mass: Si("kg", "moving mass", gt=0, possible=(1e-6, 1e6)) = 20.0
     viscous_damping: Si("N·s/m", "nominal B, used by the simulator", ge=0) = 600.0
     bulk_modulus: Si("Pa", "nominal effective bulk modulus, used by the simulator",
-                     gt=0) = 6e8
+                     gt=0, possible=(1e5, 1e12)) = 6e8
     leakage: Si("m³/(s·Pa)", "lumped leakage coefficient C_T; leakage flow is C_T/2·Δp",
-                ge=0) = 5e-13
-    pump_displacement: Si("m³/rad", "pump displacement D_p", gt=0, optional=True) = 1.6925e-7
+                ge=0, possible=(1e-18, 1e-6)) = 5e-13
+    pump_displacement: Si("m³/rad", "pump displacement D_p", gt=0, optional=True,
+                          possible=(1e-10, 1e-2)) = 1.6925e-7
     position_gain: Si("rad/(s·m)", "outer loop gain K_pos, pump speed over position error",
                       gt=0, optional=True) = 23000.0
-    charge_pressure: Si("Pa", "absolute pressure of the make-up source", ge=0) = 2e6
+    charge_pressure: Si("Pa", "absolute pressure of the make-up source", ge=0, absolute=True,
+                        possible=(1e3, 1e8)) = 2e6
     makeup_conductance: Si("m³/(s·Pa)", "laminar path of each chamber to the make-up source, "
-                           "included in leakage", ge=0) = 1e-13
+                           "included in leakage", ge=0, possible=(1e-18, 1e-6)) = 1e-13
     ambient_pressure: Si("Pa", "absolute pressure of the tank and of the surroundings, where "
-                         "leakage to the outside ends", ge=0) = 101325.0
-    sample_time: Si("s", "sample time T_s", gt=0, le=1) = 1e-3
+                         "leakage to the outside ends", ge=0, absolute=True,
+                         possible=(1e3, 1e8)) = 101325.0
+    sample_time: Si("s", "sample time T_s", gt=0, le=1, possible=(1e-7, 0.5)) = 1e-3
     tolerance: Tolerance = Field(Tolerance(), description="one standard deviation of each value; "
                                                           "diagnose fits it within that without "
                                                           "reporting it")
@@ -97,7 +102,7 @@ class Segment(Section):
     kind: Literal["triangle", "sine", "multisine", "chirp", "steps", "rest", "file"] = Field(
         description="shape of the demanded position")
     duration: Si("s", "length of this interval", gt=0, le=86400) = 8.0
-    amplitude: Si("m", "half of peak to peak", ge=0) = 0.04
+    amplitude: Si("m", "half of peak to peak", ge=0, possible=(1e-9, 20.0)) = 0.04
     frequency: Si("Hz", "fundamental; first frequency of a chirp; steps per second", gt=0) = 0.25
     frequency_end: Si("Hz", "last frequency of a chirp or multisine", gt=0) = 20.0
     components: int = Field(12, ge=1, le=1000, description="number of tones of a multisine")

@@ -58,19 +58,21 @@ ENTRAINED_AIR = Effect(
 # Oil columns that grow and shrink with the position of the piston.
 @njit
 def position_dependent_volume_term(s, p, m, c):
-    """Move A_v x of oil volume from chamber 2 to chamber 1."""
+    """Add A_v x of oil volume to chamber 1, and take r A_v x from chamber 2."""
     c[VOLUME_1] += p[0] * s[X]
-    c[VOLUME_2] -= p[0] * s[X]
+    c[VOLUME_2] -= p[0] * p[1] * s[X]
 
 
 POSITION_DEPENDENT_VOLUME = Effect(
     name="position_dependent_volume",
     balance="flow",
-    equation="V1 + A_v x,  V2 - A_v x",
+    equation="V1 + A_v x,  V2 - r A_v x",
     source="chamber volumes, Merritt 1967, Eq. 6-34 and 6-35",
     parameters=(
         Parameter("A_v", "m^2", "volume over position; the piston area if nothing makes up for it",
                   0.0, 0.1, 5e-4),
+        Parameter("r", "1", "area of chamber 2 over that of chamber 1, of a single rod",
+                  0.0, 100.0, 1.0, 1.0, fitted=False),
     ),
     term=position_dependent_volume_term,
     adds=(VOLUME_1, VOLUME_2),
