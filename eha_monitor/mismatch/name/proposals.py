@@ -204,6 +204,10 @@ def proposals_of(found: list[Ranked], model: Ranked | None, refits: Refits,
         if not any(contained(other, one, here) for other in chosen):
             chosen.append(one)
     chosen = best_first(chosen)
+    # Less of a law is far from linear: what the model has may also stay.
+    staying = next((one for one in better if here < one.names), None)
+    if staying is not None and not any(here <= one.names for one in chosen):
+        chosen.insert(0, staying)
     # What is far off is not linear: a smaller set that promises most of it may reach all of it.
     enough = own + PROMISING * (better[0].evidence - own)
     chosen = [one for k in range(1, size) for one in [

@@ -273,6 +273,7 @@ def selected(experiment: Experiment, say=lambda text, share: None,
         if may_end and lack_of(sketch, found.refits.fits[found.refits.best()]
                                ) > experiment.policy.lacking:
             raise Unfollowed
+        caught_up(sketch, found.refits)
         search.going_on_from(found)
     refits, views = explored(search, say).refits, search.views
     gated(experiment, refits)
@@ -570,17 +571,27 @@ def within_reach(refits: Refits) -> list[Names]:
             if scores[names] > scores[best] - WITHIN_REACH]
 
 
+def caught_up(experiment: Experiment, refits: Refits) -> None:
+    """Fit what a first look has dropped and has no more members than the best set.
+
+    What was slow, from far off, may be as good in the end.
+    """
+    best = refits.best()
+    worth = refits.fits[best].log_likelihood - CLOSE
+    slow = [(names, fit) for names, fit in refits.dropped.items()
+            if names not in refits.fits and len(names) <= len(best)]
+    fits = spread(lambda item: settled(experiment, item[1], worth=worth), slow)
+    for (names, _), fit in zip(slow, fits, strict=True):
+        refits.add(experiment, names, fit)
+
+
 def finish(experiment: Experiment, refits: Refits) -> None:
     """Fit the sets that are within reach of the best to the end, under the same unknowns.
 
     A refit that is cut short ranks the wrong set first where effects trade.
     """
     without_each(experiment, refits)
-    best = refits.best()
-    lead = refits.fits[best]
-    for names, fit in refits.dropped.items():  # what was slow may be as good in the end
-        if names not in refits.fits and fit.log_likelihood > lead.log_likelihood - WITHIN_REACH:
-            refits.add(experiment, names, settled(experiment, fit))
+    caught_up(experiment, refits)
     best = refits.best()
     lead = refits.fits[best]
     for name in sorted(best & CATALOGUE.keys()):  # a law as simple, from the same place
