@@ -3,6 +3,7 @@
 bound   no parameter of a member stands at the end of its range: the fit wanted to go on
 sign    what must run downhill does: friction takes power from the motion, a leak flows from the
         higher pressure to the lower
+curve   three laws of friction, or of a leak, make one curve that none of them is
 
 A set that fails is no answer.  The same set without the failing member is fitted in its place,
 and what the evidence then still holds for the refused set counts as unexplained.
@@ -20,10 +21,12 @@ from eha_monitor.physics import signals as s
 from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.physics.parameters import place_of
 from eha_monitor.quantity import quantity
-from eha_monitor.words import effect_words
+from eha_monitor.words import effect_words, listed
 
 AT_BOUND = 1e-4  # of its prior deviation: how near to the end of its range a fit has arrived
 SLOW = (0.02, 0.2)  # of the top speed: below is rest, above viscous damping is the larger part
+MOST_LAWS = 2  # of one kind: with a third any smooth curve is met
+KINDS = {"motion": "friction over velocity", "pressure": "leakage over pressure"}
 FEWEST = 20  # samples from which a mean says something
 
 
@@ -61,7 +64,7 @@ def failures(experiment: Experiment, fit: Fit) -> list[Gate]:
     ----------
     fit : the set's model, fitted to the end; ``named`` its members.
     """
-    return [*_bounds(fit), *_within(experiment, fit), *_signs(experiment, fit)]
+    return [*_bounds(fit), *_within(experiment, fit), *_curves(fit), *_signs(experiment, fit)]
 
 
 def _bounds(fit: Fit) -> Iterator[Gate]:
@@ -84,6 +87,15 @@ def _within(experiment: Experiment, fit: Fit) -> Iterator[Gate]:
             if abs(one) > abs(two) + sure:
                 yield Gate("sign", name, f"{effect_words(name)}: {size} of {abs(one):.3g} exceeds "
                            f"{other} of {abs(two):.3g}; friction takes power in both directions")
+
+
+def _curves(fit: Fit) -> Iterator[Gate]:
+    for kind, words in KINDS.items():
+        laws = [effect_words(name) for name in fit.named
+                if name in CATALOGUE and CATALOGUE[name].passive == kind]
+        if len(laws) > MOST_LAWS:
+            yield Gate("curve", words, f"{listed(laws)} together make one curve of {words} that "
+                       "none of them is")
 
 
 def ends_of_tolerance(fit: Fit) -> list[Free]:
