@@ -307,6 +307,8 @@ class _Beside:
                 and (other := self.of[left.names[j]].effect) != self.of[name].effect)]))
             moved = self.moved(scatter, replace(left, value=scatter.mean + amount), i, t[i],
                                scatter.limit[i], before - after, rivals)
+            if changes and not self.beyond(name, step, now):
+                return changes, now, True, largest, None
             if not self.matters(name, step, before, after):
                 apart = abs(moved.here - moved.machine) / max(abs(moved.deviations), 1e-300)
                 surely = abs(moved.deviations) > moved.limit
@@ -365,6 +367,20 @@ class _Beside:
             before - after > policy.worse or abs(step) > policy.near * own > 0.0
             or (is_loud(before, usual, self.one.size, self.table)
                 and explains(before, after, usual, policy)))
+
+    def beyond(self, name: str, step: float, now: dict[str, float]) -> bool:
+        """Tell whether one more change explains what a refit of those before it does not.
+
+        All terms of the balance are free there, and the first change's with them: else the
+        second one is what the first, beside the machine's held terms, has left.
+        """
+        table, own = self.table, set(columns_of(name, self.table))
+        others = [other for other in (*now, *self.free) if other not in own]
+        places = [table.places[other] for other in dict.fromkeys(others)]
+        mine = [table.places[other] for other in own]
+        before = unseen(table, mine, places, np.full(len(mine), now.get(name, 0.0)))
+        after = unseen(table, [], [*mine, *places], np.zeros(0))
+        return self.matters(name, step, before, after)
 
     def judged(self, machine: Machine) -> JudgedBalance:
         """Return what has changed in the balance, its constant load last, beside all else."""
