@@ -71,7 +71,8 @@ def test_a_small_sure_difference_has_its_name_and_its_value(machine, settings):
     """It was "the largest difference is pump loss by direction" for a pump of another size."""
     found = said(machine, pumped(23, pump=1.013 * PUMP), settings)
     assert found.verdict == "consistent" and not found.changes
-    assert found.message.startswith("too small to be called a change: the pump's displacement")
+    assert found.message.startswith(
+        "what differs is too small to be called a change: the pump's displacement")
     more, doubt = map(float, re.search(r"\+([\d.]+) ± ([\d.]+) %", found.message).groups())
     assert more == pytest.approx(1.3, abs=0.4) and abs(more - 1.3) < 3.0 * doubt
 

@@ -227,7 +227,7 @@ def _message(verdict: str, changes: Sequence[Change], judged: Judged, runs: str,
     if changes:
         return "; ".join(one.statement for one in changes)
     if verdict == "consistent" and small:
-        return f"too small to be called a change: {'; '.join(small)}"
+        return f"what differs is too small to be called a change: {'; '.join(small)}"
     if verdict == "consistent":
         largest = max((one.largest for one in judged.balances if one.largest is not None),
                       key=lambda one: abs(one.deviations) / one.limit, default=None)

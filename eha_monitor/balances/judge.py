@@ -325,7 +325,9 @@ class _Beside:
         amount, gone = np.array([left.gone_with(self.oil, self.policy.varied, i, mean)
                                  for i, mean in enumerate(scatter.mean)]).T
         for i, name in enumerate(left.names):
-            if name in taken or (name in self.signed and self.of[name].sign * (
+            told = any(same_quantity(self.of[a], self.of[b]) and same_quantity(
+                self.of[b], self.of[a]) for a, b in ((name, other) for other in taken))
+            if told or (name in self.signed and self.of[name].sign * (
                     now.get(name, 0.0) + amount[i]) < 0.0):
                 gone[i] = -np.inf
         return amount, gone
