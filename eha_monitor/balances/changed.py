@@ -75,7 +75,9 @@ def against(machine: Machine, recordings: Sequence[Recording], settings: Setting
         where = Location(weights, where.regime, where.intervals_s)
     return Diagnosis(
         tuple(one.source for one in recordings), verdict,
-        _message(verdict, changes, judged, _runs(machine)), where, effects,
+        _message(verdict, changes, judged, _runs(machine), tuple(
+            _in_share(one, _change(one, machine, settings, stiffness)) for one in judged.small)),
+        where, effects,
         _health(machine, judged, stiffness, before=True),
         _health(machine, judged, stiffness, before=False),
         "held_out", {one.balance: SignalFit(
@@ -199,19 +201,42 @@ def _health(machine: Machine, judged: Judged, stiffness: Stiffness, before: bool
     return found
 
 
-def _message(verdict: str, changes: Sequence[Change], judged: Judged, runs: str) -> str:
-    """Return the answer in a sentence."""
+def _in_share(moved: Moved, change: Change) -> str:
+    """Return the statement of a number that differs a little: by which share of the healthy one.
+
+    And what else explains it as well.
+    """
+    healthy, by = change.reference, ""
+    if change.unit == moved.candidate.unit and POLICY.sure(healthy.value, healthy.stddev):
+        more = (change.now.value - healthy.value) / abs(healthy.value)
+        doubt = np.hypot(moved.apart, more * healthy.stddev) / abs(healthy.value)
+        by = f", {'+' if more > 0.0 else ''}{with_uncertainty(100.0 * more, 100.0 * doubt, '%')}"
+    rivals = [effect_words(name) for name in change.indistinguishable_from]
+    return change.statement + by + (
+        f" ({listed(rivals, 'or')} would explain it as well)" if rivals else "")
+
+
+def _message(verdict: str, changes: Sequence[Change], judged: Judged, runs: str,
+             small: Sequence[str]) -> str:
+    """Return the answer in a sentence: what changed, what did too little to matter, or nothing.
+
+    Parameters
+    ----------
+    small : statements of what surely differs but is too small to matter.
+    """
     if changes:
         return "; ".join(one.statement for one in changes)
+    if verdict == "consistent" and small:
+        return f"what differs is too small to be called a change: {'; '.join(small)}"
     if verdict == "consistent":
         largest = max((one.largest for one in judged.balances if one.largest is not None),
                       key=lambda one: abs(one.deviations) / one.limit, default=None)
-        beyond = largest is not None and abs(largest.deviations) > largest.limit
         most = "" if largest is None else (
             f": the largest difference is {effect_words(largest.candidate.effect)}, by "
-            f"{number(abs(largest.deviations), 2)} of their standard deviations; " + (
-                f"it makes less than {share(POLICY.worse)} of the {largest.candidate.balance}"
-                if beyond else f"the limit is {number(largest.limit, 2)}"))
+            f"{number(abs(largest.deviations), 2)} of their standard deviations; the limit is "
+            f"{number(largest.limit, 2)}" + (
+                f", but it explains too little of the {largest.candidate.balance} to be called a "
+                "change" if abs(largest.deviations) > largest.limit else ""))
         return f"nothing has changed from {runs}{most}"
     said = [f"{one.balance}: {share(one.error, 2)} of it unexplained, at most "
             f"{share(one.usual, 2)} in the healthy recordings" for one in judged.loud]

@@ -68,6 +68,8 @@ class JudgedBalance:
         own recordings.
     changed : what has changed, the most important first; ``complete`` nothing else has.
     largest : the term that differs most, changed or not.
+    small : what explains most of the rest, where something differs surely but too little to
+        matter.
     free : terms of the recording's own setting.
     """
 
@@ -84,6 +86,7 @@ class JudgedBalance:
     size: float
     free: tuple[str, ...] = ()
     each: tuple[Table, ...] = ()
+    small: Moved | None = None
 
 
 @dataclass(frozen=True)
@@ -105,6 +108,12 @@ class Judged:
     def changed(self) -> tuple[Moved, ...]:
         """Parameters beyond what the machine's own recordings do, what explains most first."""
         return tuple(sorted((moved for one in self.balances for moved in one.changed),
+                            key=lambda moved: -moved.removed))
+
+    @property
+    def small(self) -> tuple[Moved, ...]:
+        """What surely differs but too little to matter, what explains most first."""
+        return tuple(sorted((one.small for one in self.balances if one.small is not None),
                             key=lambda moved: -moved.removed))
 
     @property
@@ -240,23 +249,26 @@ class _Beside:
         How far the machine's goes with other shapes of its family that fit as well is in both
         the healthy and the present value, not in their difference.
         """
-        name, forms = found.names[i], self.one.form_of
-        c = self.of[name]
-        if c.family == WEAR and not c.upon:  # of any shape it is a force
-            base = own_part(name, self.table, self.held)
-            form = float(np.linalg.norm([own_part(name, self.table, {other: value})
-                                         for other, value in forms.items() if other in self.held]))
-        else:
-            base, form = self.held.get(name, 0.0), forms.get(name, 0.0)
+        c, forms = self.of[found.names[i]], self.one.form_of
+        alike = {other: self.part(c, other) for other in self.held if same_quantity(
+            self.of[other], c)}
+        base = sum(share * self.held[other] for other, share in alike.items())
+        form = float(np.linalg.norm([share * forms.get(other, 0.0)
+                                     for other, share in alike.items()]))
         spread = float(np.hypot(scatter.spread[i], form))
         return Moved(c, base + float(found.value[i]), float(np.hypot(found.stddev[i], spread)),
                      base + scatter.mean[i], spread, float(t), limit, removed, rivals,
                      float(np.hypot(found.stddev[i], scatter.spread[i])))
 
-    def search(self) -> tuple[list[Moved], dict[str, float], bool, Moved | None]:
+    def part(self, one: Candidate, other: str) -> float:
+        """Return what one unit of another column of the same quantity is of it."""
+        return own_part(one.name, self.table, {other: 1.0}) if one.family == WEAR else 1.0
+
+    def search(self) -> tuple[list[Moved], dict[str, float], bool, Moved | None, Moved | None]:
         """Return what has changed: one more term at a time, until none is far.
 
-        Also the parameters with it, whether nothing else has, and the term that differs most.
+        Also the parameters with it, whether nothing else has, the term that differs most, and
+        what is surely there beside the changes but too small to matter.
         """
         one, table, policy = self.one, self.table, self.policy
         names = [name for name in one.scatter.names
@@ -274,7 +286,7 @@ class _Beside:
             if far[place] <= 1.0:
                 break
             if len(changes) == MOST_CHANGES:
-                return changes, now, False, largest
+                return changes, now, False, largest, None
             # That something has changed, a term shows that goes farther than healthy recordings
             # do; which it is, what explains the recording; and whether it matters, what is named.
             # What is far and removes nothing is no physics: the balance's error says whether it
@@ -290,16 +302,22 @@ class _Beside:
             before = self.error(self.at_best(now))
             more = now | {name: now.get(name, 0.0) + step}
             after = self.error(self.at_best(more, (name,)))
-            if not self.matters(name, step, before, after):
-                break
             rivals = tuple(dict.fromkeys([*self.of[name].twins, *(
                 other for j in equal if j != i
                 and (other := self.of[left.names[j]].effect) != self.of[name].effect)]))
-            changes.append(self.moved(scatter, replace(left, value=scatter.mean + amount), i, t[i],
-                                      scatter.limit[i], before - after, rivals))
+            moved = self.moved(scatter, replace(left, value=scatter.mean + amount), i, t[i],
+                               scatter.limit[i], before - after, rivals)
+            if changes and not self.beyond(name, step, now):
+                return changes, now, True, largest, None
+            if not self.matters(name, step, before, after):
+                apart = abs(moved.here - moved.machine) / max(abs(moved.deviations), 1e-300)
+                surely = abs(moved.deviations) > moved.limit
+                return changes, now, True, largest, (
+                    replace(moved, apart=apart) if surely else None)
+            changes.append(moved)
             now = more
             left, free_oil = (each.moved(i, step) for each in (left, free_oil))
-        return changes, now, True, largest
+        return changes, now, True, largest, None
 
     def gone(self, left: Amplitudes, scatter: Scatter, now: dict[str, float], taken: set[str]
              ) -> tuple[np.ndarray, np.ndarray]:
@@ -307,7 +325,9 @@ class _Beside:
         amount, gone = np.array([left.gone_with(self.oil, self.policy.varied, i, mean)
                                  for i, mean in enumerate(scatter.mean)]).T
         for i, name in enumerate(left.names):
-            if name in taken or (name in self.signed and self.of[name].sign * (
+            told = any(same_quantity(self.of[a], self.of[b]) and same_quantity(
+                self.of[b], self.of[a]) for a, b in ((name, other) for other in taken))
+            if told or (name in self.signed and self.of[name].sign * (
                     now.get(name, 0.0) + amount[i]) < 0.0):
                 gone[i] = -np.inf
         return amount, gone
@@ -350,10 +370,24 @@ class _Beside:
             or (is_loud(before, usual, self.one.size, self.table)
                 and explains(before, after, usual, policy)))
 
+    def beyond(self, name: str, step: float, now: dict[str, float]) -> bool:
+        """Tell whether one more change explains what a refit of those before it does not.
+
+        All terms of the balance are free there, and the first change's with them: else the
+        second one is what the first, beside the machine's held terms, has left.
+        """
+        table, own = self.table, set(columns_of(name, self.table))
+        others = [other for other in (*now, *self.free) if other not in own]
+        places = [table.places[other] for other in dict.fromkeys(others)]
+        mine = [table.places[other] for other in own]
+        before = unseen(table, mine, places, np.full(len(mine), now.get(name, 0.0)))
+        after = unseen(table, [], [*mine, *places], np.zeros(0))
+        return self.matters(name, step, before, after)
+
     def judged(self, machine: Machine) -> JudgedBalance:
         """Return what has changed in the balance, its constant load last, beside all else."""
         one, table, free = self.one, self.table, self.free
-        changes, now, complete, largest = self.search()
+        changes, now, complete, largest, small = self.search()
         now = self.at_best(now, {moved.candidate.name for moved in changes})
         load, held = _load(machine, one, table, now, free), self.held
         if load is not None and not any(moved.candidate.effect in OF_PLACE for moved in changes):
@@ -366,7 +400,7 @@ class _Beside:
         held = last.at_best(held)
         return JudgedBalance(one.balance, table, held, now, last.error(held), last.error(now),
                              max(one.held), tuple(changes), complete, largest, one.size,
-                             tuple(free))
+                             tuple(free), small=small)
 
 
 def _farther(scatter: Scatter, left: Amplitudes, beside: Scatter, loose: Amplitudes,
@@ -400,6 +434,18 @@ def is_loud(error: float, usual: float, size: float, table: Table) -> bool:
         in a quiet motion the same newtons are a larger share.
     """
     return error > ERROR * max(usual * max(size / table.size, 1.0), table.floor / table.size)
+
+
+def same_quantity(other: Candidate, one: Candidate) -> bool:
+    """Tell whether another column adds to what is told of one: it has the same number.
+
+    So do a drive's lags by the commanded and the measured speed; dry friction of any shape is a
+    force.
+    """
+    if one.family == WEAR and not one.upon:
+        return other.family == WEAR
+    return other.name == one.name or (
+        bool(one.symbol) and (other.effect, other.symbol) == (one.effect, one.symbol))
 
 
 def columns_of(name: str, table: Table) -> list[str]:

@@ -1,0 +1,114 @@
+"""What is said beside healthy recordings: changed, surely different but small, or nothing.
+
+The rig is written down here with a few lines of numpy: a motion, the pressures that it takes, the
+speed at which a pump delivers its flow to chamber 1, and a drive that lags its command.
+"""
+
+import re
+
+import numpy as np
+import pytest
+
+from eha_monitor.balances.candidates import Scale, candidates_of
+from eha_monitor.balances.changed import against
+from eha_monitor.balances.course import course_of
+from eha_monitor.balances.judge import judge, same_quantity
+from eha_monitor.balances.machine import healthy_machine
+from eha_monitor.recordings.recording import Recording
+from eha_monitor.settings import settings_from_tree
+
+A_1, A_2, VOLUME, BETA, PUMP = 3.1e-3, 2.1e-3, 6e-4, 0.9e9, 1.6e-6
+
+
+def pumped(seed, leak=2.4e-12, pump=PUMP, lag=0.014, dry=280.0, seconds=24.0,
+           delay=0.0):
+    """Return a recording; ``pump`` m³/rad, ``lag`` and ``delay`` s of the drive, ``dry`` N."""
+    rng, dt = np.random.default_rng(seed), 2e-3
+    t = np.arange(0.0, seconds, dt)
+    w = 2.0 * np.pi * np.array([0.13, 0.37, 0.9, 2.1])
+    size = np.array([0.03, 0.012, 0.004, 5e-4]) * rng.uniform(0.8, 1.2, 4)
+    v = sum(a * b * np.cos(b * t + c) for a, b, c in zip(
+        size, w, rng.uniform(0.0, 2.0 * np.pi, 4), strict=True))
+    x = np.cumsum(v) * dt
+    force = (500.0 * np.gradient(v, dt) + rng.uniform(5500.0, 7000.0) * v + 5800.0
+             + dry * np.tanh(v / 5e-4) + 4e4 * x)
+    p2 = 22e5 + 4e5 * np.sin(0.5 * t)
+    p1 = (force + A_2 * p2) / A_1
+    leak *= rng.uniform(0.85, 1.15)
+    omega = (A_1 * v + leak * (p1 - p2) + VOLUME / BETA * np.gradient(p1, dt)) / pump
+    wanted = np.interp(t + delay, t, omega + lag * np.gradient(omega, dt))
+    noise = {"x": 2e-6, "omega": 0.05, "omega_d": 0.01, "p1": 2e3, "p2": 2e3}
+    return Recording(dt, {name: values + noise[name] * rng.standard_normal(len(t))
+                          for name, values in (("x", x), ("omega", omega), ("omega_d", wanted),
+                                               ("p1", p1), ("p2", p2))}, source=f"pumped {seed}")
+
+
+@pytest.fixture(scope="module")
+def settings():
+    return settings_from_tree({"rig": {
+        "area_1": A_1, "area_2": A_2, "volume_1": VOLUME, "volume_2": 5e-4, "mass": 500.0,
+        "pump_displacement": 1.65e-6, "position_gain": None, "leakage": 5e-13,
+        "makeup_conductance": 1e-13, "charge_pressure": 22e5}}, "a test")
+
+
+@pytest.fixture(scope="module")
+def machine(settings):
+    return healthy_machine([pumped(seed) for seed in range(6)], settings)
+
+
+def said(machine, recording, settings):
+    return against(machine, [recording], settings, machine.sources)
+
+
+def test_healthy_is_nothing(machine, settings):
+    for seed in (20, 21, 22):
+        found = said(machine, pumped(seed), settings)
+        assert found.verdict == "consistent"
+        assert found.message.startswith("nothing has changed from 6 healthy recordings")
+
+
+def test_a_small_sure_difference_has_its_name_and_its_value(machine, settings):
+    """It was "the largest difference is pump loss by direction" for a pump of another size."""
+    found = said(machine, pumped(23, pump=1.013 * PUMP), settings)
+    assert found.verdict == "consistent" and not found.changes
+    assert found.message.startswith(
+        "what differs is too small to be called a change: the pump's displacement")
+    more, doubt = map(float, re.search(r"\+([\d.]+) ± ([\d.]+) %", found.message).groups())
+    assert more == pytest.approx(1.3, abs=0.4) and abs(more - 1.3) < 3.0 * doubt
+
+
+@pytest.mark.parametrize("more", [{"lag": 0.023}, {"delay": 0.009}])
+def test_a_lag_is_the_drives_whichever_columns_hold_it(machine, settings, more):
+    """It was "9 ms, where healthy have 0" where the change fell on the other column."""
+    found = said(machine, pumped(24, **more), settings)
+    (change,) = found.changes
+    assert change.what == "drive_lag"
+    assert change.reference.value == pytest.approx(0.014, rel=0.02)
+    assert change.now.value == pytest.approx(0.023, rel=0.02)
+
+
+def test_columns_of_one_number_add(settings):
+    courses = [course_of(pumped(0, seconds=8.0), settings)]
+    of = {kind: {c.name: c for c in candidates_of(kind, Scale.of(courses), settings.rig)}
+          for kind in ("force", "flow", "drive")}
+    drive, force, flow = of["drive"], of["force"], of["flow"]
+    assert same_quantity(drive["tau"], drive["tau_d"])
+    assert same_quantity(force["F_z2"], force["F_c"])
+    assert same_quantity(force["F_s1"], force["F_c"])
+    assert not same_quantity(force["F_c"], force["F_s1"])
+    assert not same_quantity(flow["L"], flow["L_1"]) and same_quantity(flow["L"], flow["L"])
+
+
+def test_a_leak_has_one_name(machine, settings):
+    """What the first change leaves beside the healthy machine's other terms is no second one."""
+    found = said(machine, pumped(25, leak=2.4e-11), settings)
+    assert [one.what for one in found.changes] == ["cross_port_leakage"]
+
+
+def test_what_is_small_is_beyond_its_limit(machine, settings):
+    for recording in (pumped(26, dry=320.0), pumped(27, pump=0.985 * PUMP)):
+        judged = judge(machine, [course_of(recording, settings)], settings)
+        for one in judged.small:
+            assert abs(one.deviations) > one.limit
+            assert one.apart == pytest.approx(abs(one.here - one.machine) / abs(one.deviations))
+        assert judged.belongs and judged.small, recording.source
