@@ -43,7 +43,7 @@ def test_a_healthy_rig_of_other_equations_is_no_mismatch():
 
 
 def test_play_before_the_sensor_is_no_other_displacement():
-    """The flow balance leaves a tenth with the config; with 0.2 mm of play the pump is as it is."""
+    """The flow balance leaves a tenth with the config; with 0.2 mm of play the pump is right."""
     rig = draw_rig(500, 14, "equal", "none")
     assert rig.plant.play == pytest.approx(2.03e-4, rel=1e-2)
     found = diagnose([record(rig, rig.settings[0], 1, 6.0)[0]], settings_of(rig))
