@@ -46,8 +46,8 @@ class SearchPolicy:
         1 % of what the recording covers.
     shape : prior deviation of the logarithm of a shape.  Definition: a factor of four and a half.
     lacking : log units a sample, behind the expected likelihood of a right model: a filter that
-        lacks more, after a search of a third of the samples, is no judge.  Definition: one; measured
-        up to 0.12 on concealed draws, 1.1 to 8.1 on strangers' rigs (docs/diagnosis.md).
+        lacks more, after a search of a third of the samples, is no judge.  Definition: one;
+        measured up to 0.12 on concealed draws, 1.1 to 8.1 on strangers' rigs (docs/diagnosis.md).
     """
 
     effect: float = -5.0
