@@ -356,6 +356,7 @@ def assemble(recordings: list[Recording], shown: Experiment, naming: Naming, sta
         wrong = tuple(finding for finding in wrong if not finding.probability < policy.likely)
         verdict = verdict if effects or wrong else "consistent"
     open_end = verdict == "unexplained" and told is None
+    nearest = after  # what no model explains shows where the best one has taken away all else
     if open_end:  # nothing is an answer: no name, no number but the nominal model's, in doubt
         effects, wrong, within = (), (), ()
         after, signals = before, show.without_answer(signals)
@@ -375,11 +376,12 @@ def assemble(recordings: list[Recording], shown: Experiment, naming: Naming, sta
         where = locate.location_of(experiment, before, after, evidence, [told.missing])
         curves = locate.latent_curves(experiment, before, after, [told.missing])
     else:
-        terms = missing_terms(experiment, before, after if effects else None)
+        base = nearest if open_end else before
+        terms = missing_terms(experiment, base, after if effects else None)
         named = verdict == "mismatch"  # else it is what has no name that is looked for
-        where = locate.location_of(experiment, before, after, evidence if named else {},
+        where = locate.location_of(experiment, base, nearest, evidence if named else {},
                                    terms if named else None)
-        curves = locate.latent_curves(experiment, before, after, terms)
+        curves = locate.latent_curves(experiment, base, nearest if open_end else after, terms)
     known = values_of(experiment, before), values_of(experiment, after)
     parts = show.agreement(experiment, before, after)
     if open_end:
