@@ -354,20 +354,6 @@ def _over_stroke(course: Course, rig: Rig) -> np.ndarray:
     return -course.pumped_side * pressure_rate(course) * course.x
 
 
-def swallowed(course: Course, rig: Rig) -> np.ndarray:
-    """Return the flow that a position sensor with a play of 1 m misses, (m,) m²/s.
-
-    The sensor is dragged, x_s = x - (b/2) s, so at each reversal the piston goes on by b unseen
-    (play operator, Nordin, Gutman 2002): A x_s' = A x' - (b/2) A s'.  The side s is the direction
-    of motion, and that of the last motion where a rest ends in the same one.
-    """
-    side = course.direction.copy()
-    moving = np.flatnonzero(np.abs(side) >= 1.0)
-    for i in np.flatnonzero((np.diff(moving) > 1) & (np.diff(side[moving]) == 0.0)):
-        side[moving[i]:moving[i + 1]] = side[moving[i]]
-    return -0.5 * rig.area_1 * slope(side, course.dt)
-
-
 def flow_candidates(scale: Scale, rig: Rig) -> tuple[Candidate, ...]:
     """Return what a flow balance may hold."""
     pump = rig.pump_displacement
@@ -418,9 +404,7 @@ def flow_candidates(scale: Scale, rig: Rig) -> tuple[Candidate, ...]:
             symbol="omega_0"),
         one("T_q", "flow_lag", "s" if pump else "m³", "flow that lags the speed", 1,
             lambda c, r: -(pump or 1.0) * slope(c.omega, c.dt), power=2.0,
-            twins=("position_delay",)),
-        one("b", "backlash", "m", "play before the position sensor", 1, swallowed,
-            symbol="b"),
+            twins=("position_delay", "backlash")),
     )
 
 
