@@ -57,6 +57,21 @@ class Caller:
     def trigger(self, name):
         return self.call(Trigger, name, Trigger.Request())
 
+    def trigger_until_answered(self, name, each=10.0):
+        """Ask again where no answer comes: for a request that may be made twice.
+
+        A server in another process may answer before its writer has found this node's reader, and
+        that answer is lost (``service_is_ready`` knows of this side only).
+        """
+        for _ in range(max(1, round(self.timeout / each))):
+            future = self.begin(Trigger, name, Trigger.Request())
+            try:
+                self.graph.until(future.done, each)
+            except AssertionError:
+                continue
+            return future.result()
+        raise AssertionError(f"{name}: no answer within {self.timeout:g} s")
+
     def change(self, monitor, transition):
         """Ask a managed node for a transition; returns whether it was made."""
         request = ChangeState.Request()

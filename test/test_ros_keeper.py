@@ -133,7 +133,7 @@ def test_a_bag_that_is_due_is_written_when_a_signal_ends_the_monitor(graph, tmp_
     config.write_text(f"monitor: {{save_folder: '{blocked}'}}")
     caller = Caller(graph, PATIENCE)
     with command("monitor", "--config", config) as process:
-        assert not caller.trigger("/eha/monitor/save").success  # to be tried again
+        assert not caller.trigger_until_answered("/eha/monitor/save").success  # to be tried again
         blocked.unlink()
         end(process)
     (bag,) = blocked.iterdir()
