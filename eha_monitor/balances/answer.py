@@ -248,11 +248,6 @@ def only_load(model: Model, policy: Policy) -> bool:
             and model.error <= policy.open * model.nominal_error)
 
 
-def halves(found: Diagnosis, policy: Policy = POLICY) -> bool:
-    """Tell whether terms, named or not, leave less than ``open`` of what the config leaves."""
-    return any(fit.after_rms < policy.open * fit.before_rms for fit in found.signals.values())
-
-
 def agrees(model: Model, policy: Policy) -> bool:
     """Tell whether the config's own model explains a balance.
 

@@ -381,7 +381,7 @@ def assemble(recordings: list[Recording], shown: Experiment, naming: Naming, sta
         named = verdict == "mismatch"  # else it is what has no name that is looked for
         where = locate.location_of(experiment, base, nearest, evidence if named else {},
                                    terms if named else None)
-        curves = locate.latent_curves(experiment, base, nearest if open_end else after, terms)
+        curves = locate.latent_curves(experiment, base, nearest, terms)
     known = values_of(experiment, before), values_of(experiment, after)
     parts = show.agreement(experiment, before, after)
     if open_end:

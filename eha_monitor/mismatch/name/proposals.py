@@ -212,6 +212,7 @@ def proposals_of(found: list[Ranked], model: Ranked | None, refits: Refits,
     enough = own + PROMISING * (better[0].evidence - own)
     chosen = [one for k in range(1, size) for one in [
         one for one in better if len(one.names) == k and one.evidence >= enough][:FEW]] + chosen
+
     def unknown(one: Ranked) -> bool:
         return not refits.known(one.names, here, promised(refits, here, model, one))
 

@@ -275,10 +275,8 @@ def selected(experiment: Experiment, say=lambda text, share: None,
             raise Unfollowed
         caught_up(sketch, found.refits)
         search.going_on_from(found)
-    refits, views = explored(search, say).refits, search.views
-    gated(experiment, refits)
-    judged: dict = {}
-    while refits.refused != judged:  # what hid behind a set that is no answer
+    refits, views, judged = search.refits, search.views, None
+    while refits.refused != judged:  # what hid behind a set that is no answer is sought as well
         judged = dict(refits.refused)
         gated(experiment, explored(search, say).refits)
     best = refits.best()
