@@ -9,11 +9,12 @@ from mismatch_tools import case_of, diagnosed, fitted, recorded
 from eha_monitor.estimation.hold_choice import other_hold, with_hold
 from eha_monitor.mismatch.data.experiment import experiment_of
 from eha_monitor.mismatch.diagnose import (
+    answers_of,
     diagnose,
     gained_under,
     verdict_of,
 )
-from eha_monitor.mismatch.diagnosis import VERDICTS, Diagnosis, SignalFit
+from eha_monitor.mismatch.diagnosis import VERDICTS, Diagnosis, RigFinding, SignalFit, Value
 from eha_monitor.mismatch.name.naming import Naming
 from eha_monitor.mismatch.name.select import nominal
 from eha_monitor.mismatch.policy import POLICY
@@ -176,6 +177,17 @@ def test_the_verdict_is_what_is_more_likely_than_not():
     assert verdict(wrong=("mass",)) == "mismatch"
     assert verdict(named, unexplained=0.6) == verdict(unexplained=0.6) == "unexplained"
     assert verdict(named, unexplained=0.5) == "mismatch"
+
+
+def test_where_no_name_is_likely_but_nothing_is_missing_is_not_either_the_likeliest_stands():
+    def finding(key, probability):
+        return RigFinding(key, 1.0, Value(2.0, 0.1, "kg"), probability, "")
+
+    mass, leakage = finding("mass", 0.48), finding("leakage", 0.3)
+    assert answers_of((), (mass, leakage), 0.02, POLICY) == ((), (mass,))
+    assert answers_of((), (mass, leakage), 0.2, POLICY) == ((), ())
+    sure = finding("mass", 0.9)
+    assert answers_of((), (sure, leakage), 0.02, POLICY) == ((), (sure,))
 
 
 def test_a_fit_that_fails_on_unseen_data_is_worse():

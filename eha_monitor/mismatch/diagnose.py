@@ -49,6 +49,7 @@ from eha_monitor.mismatch.name.select import (
     nominal_model,
 )
 from eha_monitor.mismatch.name.unnamed import INTERMITTENT
+from eha_monitor.mismatch.policy import SearchPolicy
 from eha_monitor.mismatch.show import held_out as show
 from eha_monitor.mismatch.show.changed import change_words, changed_between
 from eha_monitor.mismatch.show.model import (
@@ -352,8 +353,7 @@ def assemble(recordings: list[Recording], shown: Experiment, naming: Naming, sta
     wrong = rig_findings(experiment, naming)
     within = rig_within(experiment, naming)
     if verdict == "mismatch":  # what is less likely than not is no answer
-        effects = tuple(effect for effect in effects if not effect.probability < policy.likely)
-        wrong = tuple(finding for finding in wrong if not finding.probability < policy.likely)
+        effects, wrong = answers_of(effects, wrong, naming.consistent, policy)
         verdict = verdict if effects or wrong else "consistent"
     open_end = verdict == "unexplained" and told is None
     nearest = after  # what no model explains shows where the best one has taken away all else
@@ -407,6 +407,24 @@ def assemble(recordings: list[Recording], shown: Experiment, naming: Naming, sta
         rig_data=wrong, rig_within=within,
         learned=(told.term,) if told is not None and told.term is not None else (),
         fitted=None if open_end else fitted_of(after), gates=gates, baselines=baselines)
+
+
+def answers_of(effects: tuple[NamedEffect, ...], wrong: tuple[RigFinding, ...],
+               consistent: float, policy: SearchPolicy
+               ) -> tuple[tuple[NamedEffect, ...], tuple[RigFinding, ...]]:
+    """Return the names that are more likely than not.
+
+    Where no name is, and that nothing is missing can be excluded, the most probable one stands
+    with what the recording cannot tell from it: several names share what the data say.
+    """
+    def above(least: float) -> tuple[tuple[NamedEffect, ...], tuple[RigFinding, ...]]:
+        return (tuple(one for one in effects if not one.probability < least),
+                tuple(one for one in wrong if not one.probability < least))
+
+    answers = above(policy.likely)
+    if any(answers) or not consistent < policy.rival:
+        return answers
+    return above(max(one.probability for one in (*effects, *wrong)))
 
 
 def beside_own(experiment: Experiment, naming: Naming, told: ValidatedTerm) -> Naming:

@@ -4,6 +4,7 @@ import math
 import re
 
 from eha_monitor.mismatch.diagnosis import Change, Diagnosis, RigFinding, SignalFit, Value
+from eha_monitor.mismatch.policy import POLICY
 from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.quantity import (
     SYMBOLS,
@@ -36,6 +37,7 @@ AGAINST_HEALTHY = {
     "unexplained": ("error", "Changed, by an effect not in the catalogue"),
 }
 WRONG_NUMBERS = ("warn", "Wrong rig data explain the mismatch; no effect is missing")
+UNSURE = ("warn", "Mismatch; none of the names for it is more likely than not")
 REGIMES = {
     "velocity_reversal": "where the motion reverses", "high_speed": "at high speed",
     "high_pressure": "at a high pressure difference", "near_limit": "near a limit",
@@ -57,6 +59,10 @@ def head_of(found: Diagnosis) -> tuple[str, str]:
         return CHANGED
     if found.learned:
         return LEARNED
+    names = (*found.rig_data, *found.effects)
+    if found.verdict == "mismatch" and names and all(
+            one.probability < POLICY.likely for one in names):
+        return UNSURE
     if found.verdict == "mismatch" and found.rig_data and not found.effects:
         return WRONG_NUMBERS
     return VERDICTS.get(found.verdict, ("unknown", found.verdict))
