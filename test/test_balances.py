@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from machine_tools import stranger, stranger_settings
+from mismatch_tools import recorded
 
 from eha_monitor.balances.answer import Asked, answered
 from eha_monitor.balances.baseline import baseline
@@ -16,6 +17,7 @@ from eha_monitor.balances.parameters import compressibility
 from eha_monitor.balances.policy import POLICY
 from eha_monitor.balances.scatter import amplitudes_of
 from eha_monitor.balances.table import pooled_table, tables_of
+from eha_monitor.concealed.cases import Case
 from eha_monitor.mismatch.diagnose import diagnose
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings import settings_from_tree
@@ -268,3 +270,11 @@ def test_a_heavy_boom_is_a_load_although_what_varies_has_no_name():
     assert load.name == "constant_load"
     assert load.parameters["F_0"].value == pytest.approx(36_000.0, rel=0.05)
     assert "has no name" in found.message
+
+
+def test_a_demand_that_rests_and_jumps_is_no_dead_sensor():
+    """In steps a demand was taken for a sensor that drops out."""
+    recording, settings = recorded(Case("steps", (), motion="rich", seed=7))
+    course = course_of(recording, settings)
+    left = (course.wanted - course.omega)[course.good]
+    assert np.sqrt(np.mean(left**2)) < 0.001 * np.std(course.omega)

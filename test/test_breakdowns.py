@@ -9,7 +9,7 @@ from strangers.generate import recorded, settings_of
 
 from eha_monitor.api.read import checked
 from eha_monitor.estimation.pipeline import estimate
-from eha_monitor.mismatch.compare.compared import compared
+from eha_monitor.mismatch.compared import compared
 from eha_monitor.mismatch.diagnose import diagnose
 
 REFERENCES = 5

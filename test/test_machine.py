@@ -22,7 +22,7 @@ from eha_monitor.balances.table import tables_of
 from eha_monitor.balances.together import Recordings, pooled, without
 from eha_monitor.commands.diagnose import diagnose as command
 from eha_monitor.errors import InputError
-from eha_monitor.mismatch.compare.compared import compared
+from eha_monitor.mismatch.compared import compared
 from eha_monitor.recordings.write import write_recording
 
 LOADS = (338.0, 120.0, 560.0, 250.0)

@@ -6,15 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from scipy import stats
 
 from eha_monitor.commands.diagnose import command_line, diagnose
 from eha_monitor.errors import InputError
-from eha_monitor.mismatch.compare.compared import compared
-from eha_monitor.mismatch.compare.healthy import limit_of, own_over
-from eha_monitor.mismatch.compare.runs import Own, Run, posterior_of, reading_of
-from eha_monitor.mismatch.likelihood.fit import Free
-from eha_monitor.mismatch.name.columns import Column
+from eha_monitor.mismatch.compared import compared
 from eha_monitor.physics.simulator import Simulator
 from eha_monitor.recordings.importing import read_table
 from eha_monitor.recordings.stops import between_stops
@@ -74,59 +69,6 @@ def test_a_motion_that_reverses_is_not_cut():
     t = np.arange(5000) * 1e-3
     x, v = 0.1 * np.sin(2 * np.pi * t), 0.2 * np.pi * np.cos(2 * np.pi * t)
     assert between_stops(x, 20.0 * np.sign(v) + 100.0 * v, 1e-3) == [(0, 5000)]
-
-
-def test_limit_is_students():
-    assert limit_of(10, 1.0, 0.05) == pytest.approx(stats.t.ppf(0.975, 9))
-    assert limit_of(10, 4.0, 0.01) == pytest.approx(stats.t.ppf(1 - 0.01 / 8, 9))
-
-
-def runs_with(values, precision):
-    """Return runs of one own number with such values, known with such a precision."""
-    column = Column("", -1, "B", free=Free("B", 0, 0.0, 1.0, 0.0, 1.0))
-    return tuple(Run((column,), np.array([[1.0, -p * a], [-p * a, p]]))
-                 for a, p in zip(values, precision, strict=True))
-
-
-def test_own_numbers_have_the_mean_and_the_spread_of_the_runs():
-    rng = np.random.default_rng(2)
-    values = 0.3 + 0.1 * rng.standard_normal(400)
-    sharp = own_over(runs_with(values, np.full(400, 1e9)))
-    assert sharp.mean[0] == pytest.approx(values.mean(), abs=1e-6)
-    assert np.sqrt(sharp.variance[0]) == pytest.approx(values.std(), rel=1e-3)
-    noisy = values + 0.2 * rng.standard_normal(400)  # what each run tells is taken off the spread
-    blunt = own_over(runs_with(noisy, np.full(400, 25.0)))
-    assert np.sqrt(blunt.variance[0]) == pytest.approx(0.1, rel=0.25)
-
-
-def test_reading_is_the_schur_complement_of_ridge_regression():
-    rng = np.random.default_rng(4)
-    rows, own = rng.standard_normal((200, 4)), Own(np.array([0, 1]), np.array([0.2, -0.1]),
-                                                   np.array([0.5, 2.0]), ())
-    e = rng.standard_normal(200)
-    table = np.column_stack([e, rows])
-    what = tuple(Column("", -1 if i < 2 else 0, f"n{i}") for i in range(4))
-    found = reading_of(Run(what, table.T @ table), own)
-    # A change of number 3, own ones penalised: the same by augmented least squares.
-    left = np.vstack([rows[:, [0, 1, 3]], [[2**0.5, 0, 0], [0, 0.5**0.5, 0]]])
-    right = np.concatenate([-(e + rows[:, :2] @ own.mean), [0.0, 0.0]])
-    assert found.amplitudes[3] == pytest.approx(np.linalg.lstsq(left, right, rcond=None)[0][2])
-
-
-@pytest.mark.parametrize("power", [1.0, 1e8, 1e20])
-def test_own_numbers_that_cannot_be_told_apart_keep_their_prior(power):
-    """Two columns that are one: the sum of their amplitudes is told, the difference is not."""
-    variance, products = np.array([4.0, 1.0]), power * np.ones((2, 2))
-    found, _ = posterior_of(products, variance)
-    sum_of, apart = np.ones(2), np.array([1.0, -4.0])  # apart: across the sum, under the prior
-    assert sum_of @ found @ sum_of == pytest.approx(1.0 / (power + 0.2), rel=1e-4, abs=1e-14)
-    assert apart @ found @ apart == pytest.approx(20.0, rel=1e-3)
-    own = own_over(tuple(Run((Column("", -1, "B", free=Free("B", 0, -9.0, 9.0, 0.0, 1.0)),
-                              Column("", -1, "C", free=Free("C", 1, -9.0, 9.0, 0.0, 1.0))),
-                             power * np.outer([a, 1.0, 1.0], [a, 1.0, 1.0]))
-                         for a in (0.1, 0.2, -0.1, 0.3)))
-    assert np.isfinite(own.mean).all() and (own.variance > 0.0).all()
-    assert own.mean.sum() == pytest.approx(-0.125, rel=0.2)
 
 
 def test_another_healthy_stroke_has_not_changed(strokes):

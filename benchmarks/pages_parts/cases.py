@@ -7,7 +7,7 @@ from pathlib import Path
 from eha_monitor.api.answer import judged
 from eha_monitor.estimation.joint import observability
 from eha_monitor.estimation.pipeline import estimate
-from eha_monitor.mismatch.compare.compared import compared
+from eha_monitor.mismatch.compared import compared
 from eha_monitor.mismatch.diagnose import diagnose
 from eha_monitor.physics.simulator import Simulator
 from eha_monitor.prove.trial import Trial, cases_of, prove

@@ -27,7 +27,7 @@ from eha_monitor.compiled import load_runtime
 from eha_monitor.errors import InputError
 from eha_monitor.indicators.assemble import of_diagnosis
 from eha_monitor.indicators.indicator import Indicator
-from eha_monitor.mismatch.compare.compared import compared
+from eha_monitor.mismatch.compared import compared
 from eha_monitor.mismatch.diagnose import diagnose as run
 from eha_monitor.mismatch.diagnosis import Change
 from eha_monitor.mismatch.diagnosis import Diagnosis as Found
@@ -146,7 +146,8 @@ def diagnose(recordings: Several, config: Config | str | os.PathLike | dict | No
             if known is not None:
                 found = against(known, read, config.settings, known.sources)
             elif references:
-                found = compared(read, references, config.settings, further)
+                further("comparing", 0.5)
+                found = compared(read, references, config.settings)
             else:
                 found = run(read, config.settings, kept[0] if kept else None, further, suspicion,
                             without, vary)

@@ -238,9 +238,10 @@ def course_of(recording: Recording, settings: Settings, band: float = BAND) -> C
     names = [name for name in CHANNELS if recording.has(name)]
     noise = noise_levels(recording, settings.noise)
     cleaned, _ = without_spikes({name: recording.channels[name] for name in names}, noise)
-    cleaned = {name: np.where(_dead(values, dt), np.nan, values)
-               for name, values in cleaned.items()}
     needed = [name for name in names if name not in ("x_d", "omega_d")]
+    # A demand is no sensor: it may rest for long and jump.
+    cleaned |= {name: np.where(_dead(cleaned[name], dt), np.nan, cleaned[name])
+                for name in needed}
     missing = _gaps(~np.all([np.isfinite(cleaned[name]) for name in needed], axis=0),
                     round(BRIDGED / (MOTION * band * dt)))
     theta, active = theta_of(rig, settings.effects)

@@ -1,1 +1,0 @@
-"""What has changed: a recording against healthy ones of the same machine, or of one like it."""
