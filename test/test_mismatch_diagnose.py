@@ -9,12 +9,12 @@ from mismatch_tools import case_of, diagnosed, fitted, recorded
 from eha_monitor.estimation.hold_choice import other_hold, with_hold
 from eha_monitor.mismatch.data.experiment import experiment_of
 from eha_monitor.mismatch.diagnose import (
-    answers_of,
     diagnose,
     gained_under,
+    is_answer,
     verdict_of,
 )
-from eha_monitor.mismatch.diagnosis import VERDICTS, Diagnosis, RigFinding, SignalFit, Value
+from eha_monitor.mismatch.diagnosis import VERDICTS, Diagnosis, SignalFit
 from eha_monitor.mismatch.name.naming import Naming
 from eha_monitor.mismatch.name.select import nominal
 from eha_monitor.mismatch.policy import POLICY
@@ -179,15 +179,10 @@ def test_the_verdict_is_what_is_more_likely_than_not():
     assert verdict(named, unexplained=0.5) == "mismatch"
 
 
-def test_where_no_name_is_likely_but_nothing_is_missing_is_not_either_the_likeliest_stands():
-    def finding(key, probability):
-        return RigFinding(key, 1.0, Value(2.0, 0.1, "kg"), probability, "")
-
-    mass, leakage = finding("mass", 0.48), finding("leakage", 0.3)
-    assert answers_of((), (mass, leakage), 0.02, POLICY) == ((), (mass,))
-    assert answers_of((), (mass, leakage), 0.2, POLICY) == ((), ())
-    sure = finding("mass", 0.9)
-    assert answers_of((), (sure, leakage), 0.02, POLICY) == ((), (sure,))
+def test_a_name_stands_that_is_likely_or_has_a_place_that_nothing_leaves_empty():
+    assert is_answer(0.6, 0.6, POLICY) and is_answer(np.nan, 0.0, POLICY)
+    assert is_answer(0.4, 0.97, POLICY)  # one of many names for what is surely there
+    assert not is_answer(0.4, 0.9, POLICY)
 
 
 def test_a_fit_that_fails_on_unseen_data_is_worse():

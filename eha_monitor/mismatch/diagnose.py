@@ -353,7 +353,11 @@ def assemble(recordings: list[Recording], shown: Experiment, naming: Naming, sta
     wrong = rig_findings(experiment, naming)
     within = rig_within(experiment, naming)
     if verdict == "mismatch":  # what is less likely than not is no answer
-        effects, wrong = answers_of(effects, wrong, naming.consistent, policy)
+        claims = naming.claims
+        effects = tuple(one for one in effects if is_answer(
+            one.probability, claims.get(one.name, 0.0), policy))
+        wrong = tuple(one for one in wrong if is_answer(
+            one.probability, claims.get(f"rig.{one.key}", 0.0), policy))
         verdict = verdict if effects or wrong else "consistent"
     open_end = verdict == "unexplained" and told is None
     nearest = after  # what no model explains shows where the best one has taken away all else
@@ -409,22 +413,18 @@ def assemble(recordings: list[Recording], shown: Experiment, naming: Naming, sta
         fitted=None if open_end else fitted_of(after), gates=gates, baselines=baselines)
 
 
-def answers_of(effects: tuple[NamedEffect, ...], wrong: tuple[RigFinding, ...],
-               consistent: float, policy: SearchPolicy
-               ) -> tuple[tuple[NamedEffect, ...], tuple[RigFinding, ...]]:
-    """Return the names that are more likely than not.
+def is_answer(probability: float, claim: float, policy: SearchPolicy) -> bool:
+    """Tell whether a name of the best set stands: more likely than not, or nothing else may.
 
-    Where no name is, and that nothing is missing can be excluded, the most probable one stands
-    with what the recording cannot tell from it: several names share what the data say.
+    What is there may have many names that share what the recording says; the best of them stands,
+    with its own probability, where it can be excluded that none is true.
+
+    Parameters
+    ----------
+    probability : of the name and those that are listed as its like; NaN where nobody asked.
+    claim : that it, or anything in its place, is there.
     """
-    def above(least: float) -> tuple[tuple[NamedEffect, ...], tuple[RigFinding, ...]]:
-        return (tuple(one for one in effects if not one.probability < least),
-                tuple(one for one in wrong if not one.probability < least))
-
-    answers = above(policy.likely)
-    if any(answers) or not consistent < policy.rival:
-        return answers
-    return above(max(one.probability for one in (*effects, *wrong)))
+    return not probability < policy.likely or claim > 1.0 - policy.rival
 
 
 def beside_own(experiment: Experiment, naming: Naming, told: ValidatedTerm) -> Naming:

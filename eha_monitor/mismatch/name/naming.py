@@ -38,6 +38,7 @@ class Naming:
     wrong : numbers of the rig that ``after`` calls wrong, ``mass`` and so on.
     probability : effect, ``rig.<key>`` -> probability that it, or what looks like it here,
         is there, and that nothing without a name is missing beside it.
+    claims : the same names -> probability that something is there in its place, be it one of many.
     consistent, unexplained : probabilities of these answers.
     evidence : effect, ``rig.<key>`` -> log units that the model loses without it.
     rivals : effect, ``rig.<key>`` -> names that this record cannot tell from it.
@@ -62,6 +63,7 @@ class Naming:
     gates: tuple[Gate, ...] = ()
     weights: dict[Names, float] = field(default_factory=dict)
     pieces: tuple[Piece, ...] = ()
+    claims: dict[str, float] = field(default_factory=dict)
 
 
 def in_place_of(name: str, best: Names, weights: dict[Names, float]) -> dict[str, float]:
@@ -169,7 +171,7 @@ def naming_of(experiment: Experiment, found: Selection, before: Fit) -> Naming:
     # What speaks for a set that no gate lets through speaks for something that has no name.
     refused = sum(weights.get(names, 0.0) for names in refits.refused)
     weights = {names: weight for names, weight in weights.items() if names not in refits.refused}
-    rivals, probability, evidence = {}, {}, {}
+    rivals, probability, evidence, claims = {}, {}, {}, {}
     for name in sorted(best):
         stands = in_place_of(name, best, weights)
         near = [other for other in ties.ordered(stands, stands.__getitem__, str)
@@ -178,9 +180,10 @@ def naming_of(experiment: Experiment, found: Selection, before: Fit) -> Naming:
         rivals[name] = tuple(other.removeprefix(RIG) for other in near)
         # Laws of one family are one claim: which of them it is, the curve says, not the name.
         held = {name, *near, *(candidate(name).kin - best)}
-        probability[name] = float(sum(
-            weight for names, weight in weights.items()
-            if held & names and all_named(names - {INTERMITTENT})))
+        for found_by, any_of in ((probability, held), (claims, held | stands.keys())):
+            found_by[name] = float(sum(
+                weight for names, weight in weights.items()
+                if any_of & names and all_named(names - {INTERMITTENT})))
         without = [value for names, value in refits.evidence.items()
                    if not held & names and names not in refits.refused]
         evidence[name] = float(refits.evidence[best] - max(without, default=-np.inf))
@@ -199,7 +202,8 @@ def naming_of(experiment: Experiment, found: Selection, before: Fit) -> Naming:
         evidence[INTERMITTENT] = max(one.evidence - own.evidence, 0.0) if own else np.inf
         unnamed, needs = unnamed - acting, one.gram.unknowns
     beyond = beyond_form(experiment, before, after, needs)
-    probability = {name: value * (1.0 - beyond) for name, value in probability.items()}
+    probability, claims = ({name: value * (1.0 - beyond) for name, value in stated.items()}
+                           for stated in (probability, claims))
     empty = weights.get(frozenset(), 0.0) * (1.0 - beyond)
     unnamed = 1.0 - (1.0 - unnamed) * (1.0 - beyond)
     order = ties.ordered(scores, lambda names: scores[names], plainness, ties.GUESS)
@@ -208,7 +212,8 @@ def naming_of(experiment: Experiment, found: Selection, before: Fit) -> Naming:
         tuple(key for name in after.named if (key := candidate(name).key)),
         probability, float(empty), unnamed, evidence, rivals,
         tuple((names, refits.fits[names], scores[best] - scores[names]) for names in order),
-        loads, gates, {names: weight * (1.0 - beyond) for names, weight in weights.items()})
+        loads, gates, {names: weight * (1.0 - beyond) for names, weight in weights.items()},
+        claims=claims)
 
 
 def on_all_of(experiment: Experiment, naming: Naming) -> Naming:

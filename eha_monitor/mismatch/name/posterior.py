@@ -211,8 +211,14 @@ def posterior(refits: Refits, views: Sequence[tuple[Names, Sequence[Ranked]]],
         for one in ranking:
             unnamed = not all_named(one.names)
             value = start + one.evidence - one.prior
-            if unnamed:  # what the laws have wrong is a function of something
-                value = beyond(value, least, form)
+            if unnamed:
+                # The guess may know little of what is left where a law is gone: a fit does.
+                rest = frozenset(name for name in one.names if all_named({name}))
+                bare = own_in(ranking, rest)
+                if bare is not None and rest in refits.evidence:
+                    value = refits.evidence[rest] + (
+                        one.evidence - one.prior - bare.evidence + bare.prior)
+                value = beyond(value, least, form)  # what laws have wrong is such a function
             if one.names not in scores and (unnamed or one.evidence <= own.evidence or (
                     promising and not refits.known(one.names, here))):
                 scores[one.names] = refits.score(value, one.prior)
