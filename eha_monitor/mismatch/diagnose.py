@@ -43,7 +43,6 @@ from eha_monitor.mismatch.name.before import FirstView, at_its_angle, informativ
 from eha_monitor.mismatch.name.naming import Naming, beyond_form, name_effects, on_all_of
 from eha_monitor.mismatch.name.select import (
     Unfollowed,
-    credible,
     lack_of,
     lacks,
     nominal_model,
@@ -161,8 +160,8 @@ def _diagnosed(recordings: list[Recording], settings: Settings, held_out: Record
     # balance is theirs.
     unanswered = found.verdict == "unexplained" and not found.learned
     if unanswered and (far or (hypothesis is None and first is not None and (
-            first.verdict != "mismatch" and not force_is_closed(first)
-            and not credible(experiment, {})))):
+            first.verdict != "mismatch" and not force_is_closed(first) and named
+            and lack_of(named[0], named[1].after) > experiment.policy.lacking))):
         return by_first(first, started), None
     decided = decision is not None and decision.decided
     return replace(found, machine=None if first is None else first.machine,

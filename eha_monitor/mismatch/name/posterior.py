@@ -212,12 +212,11 @@ def posterior(refits: Refits, views: Sequence[tuple[Names, Sequence[Ranked]]],
             unnamed = not all_named(one.names)
             value = start + one.evidence - one.prior
             if unnamed:
-                # The guess may know little of what is left where a law is gone: a fit does.
+                # A guess that is too high where a law is gone is too high with a function there.
                 rest = frozenset(name for name in one.names if all_named({name}))
                 bare = own_in(ranking, rest)
                 if bare is not None and rest in refits.evidence:
-                    value = refits.evidence[rest] + (
-                        one.evidence - one.prior - bare.evidence + bare.prior)
+                    value -= max(start + bare.evidence - bare.prior - refits.evidence[rest], 0.0)
                 value = beyond(value, least, form)  # what laws have wrong is such a function
             if one.names not in scores and (unnamed or one.evidence <= own.evidence or (
                     promising and not refits.known(one.names, here))):

@@ -1,6 +1,6 @@
 """Joint selection: linearise, rank every set, refit the best, linearise there again."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -8,7 +8,7 @@ import numpy as np
 from eha_monitor import ties
 from eha_monitor.mismatch.data.experiment import Experiment, resolving
 from eha_monitor.mismatch.likelihood.fit import Fit, remade, spread, with_unknowns
-from eha_monitor.mismatch.name.before import FirstView, informative, with_effects
+from eha_monitor.mismatch.name.before import FirstView, informative
 from eha_monitor.mismatch.name.candidates import candidate
 from eha_monitor.mismatch.name.columns import FAR_OFF, LOOSE, rig_free
 from eha_monitor.mismatch.name.gates import ends_of_tolerance, failures
@@ -620,27 +620,6 @@ def finish(experiment: Experiment, refits: Refits) -> None:
 
     for names, fit in zip(near, spread(ended, near), strict=True):
         refits.add(experiment, names, fit)
-
-
-def credible(experiment: Experiment, effects: Mapping[str, Mapping[str, float]]) -> bool:
-    """Tell whether the filter follows a recording once the effects of its balances are in it.
-
-    The laws of the catalogue are then near the machine's, and what is smaller can be sought.  If
-    not, each sample's innovation is the form of a law that nobody wrote down: the filter lacks
-    more than ``lacking`` log units a sample on the expected likelihood of a right model.
-
-    Parameters
-    ----------
-    effects : name -> parameters, as in the config's section; all of them are fitted.
-    """
-    sketch = informative(experiment, SKETCH, SKETCH_WINDOW)
-    try:
-        sketch, _ = resolved_nominal(sketch)
-        fit = nominal_model(sketch, within=True)
-        fit = settled(sketch, with_rig(sketch, with_effects(sketch, fit, effects)))
-    except np.linalg.LinAlgError:
-        return False
-    return lack_of(sketch, fit) < experiment.policy.lacking
 
 
 def lack_of(experiment: Experiment, fit: Fit) -> float:
