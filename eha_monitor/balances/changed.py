@@ -55,6 +55,7 @@ def against(machine: Machine, recordings: Sequence[Recording], settings: Setting
     recordings, courses, left_out = courses_of(recordings, settings)
     if not any(course.moving.any() for course in courses):
         return replace(still(recordings, courses, (), started), references=references)
+    courses = machine.moved(courses)
     judged = judge(machine, courses, settings)
     moved, stiffness = judged.changed, stiffness_of(courses, rig)
     verdict = ("consistent" if judged.belongs else "mismatch" if judged.explained

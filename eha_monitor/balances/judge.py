@@ -137,7 +137,7 @@ class Judged:
 
 def judge(machine: Machine, courses: Sequence[Course], settings: Settings) -> Judged:
     """Judge motions of one state against a machine: together, by their balances alone."""
-    rig = settings.rig
+    rig, courses = settings.rig, machine.moved(courses)
     found, own, values, there = [], {}, {}, balances_in(courses, rig)
     for one in machine.balances:
         if one.balance not in there:
@@ -292,7 +292,7 @@ class _Beside:
             # What is far and removes nothing is no physics: the balance's error says whether it
             # matters.
             taken = {moved.candidate.name for moved in changes}
-            amount, gone = self.gone(left, scatter, now, taken)
+            amount, gone = self.gone(left, beside, now, taken)
             shows = ties.largest(np.where(far > 1.0, gone, -np.inf))
             if not (far[shows] > 1.0 and gone[shows] > 0.0):
                 break
@@ -319,11 +319,11 @@ class _Beside:
             left, free_oil = (each.moved(i, step) for each in (left, free_oil))
         return changes, now, True, largest, None
 
-    def gone(self, left: Amplitudes, scatter: Scatter, now: dict[str, float], taken: set[str]
+    def gone(self, left: Amplitudes, beside: Scatter, now: dict[str, float], taken: set[str]
              ) -> tuple[np.ndarray, np.ndarray]:
         """Return by how much each term has moved and the squares that are gone with it, (k,)."""
         amount, gone = np.array([left.gone_with(self.oil, self.policy.varied, i, mean)
-                                 for i, mean in enumerate(scatter.mean)]).T
+                                 for i, mean in enumerate(beside.mean)]).T
         for i, name in enumerate(left.names):
             told = any(same_quantity(self.of[a], self.of[b]) and same_quantity(
                 self.of[b], self.of[a]) for a, b in ((name, other) for other in taken))

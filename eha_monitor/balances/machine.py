@@ -20,7 +20,7 @@ from eha_monitor.balances.parameters import UNKNOWN, Stiffness, stiffness_of
 from eha_monitor.balances.policy import POLICY, Policy
 from eha_monitor.balances.scatter import Scatter, scatter_of
 from eha_monitor.balances.table import Table, nominal_of, tables_of
-from eha_monitor.balances.together import Chosen, Named, Recordings, pooled
+from eha_monitor.balances.together import Chosen, Named, Recordings, of_one_machine, pooled
 from eha_monitor.errors import InputError
 from eha_monitor.output import finite
 from eha_monitor.quantity import share
@@ -159,6 +159,7 @@ class Machine:
     pieces : they are parts of fewer recordings.
     stiffness : of the oil, by least squares.
     areas : of the rig, m^2; None of a file that does not hold them.
+    through_one : its pump acts on chamber 1 whichever way it turns.
     """
 
     rig: str
@@ -171,9 +172,14 @@ class Machine:
     policy: Policy
     stiffness: Stiffness = UNKNOWN
     areas: tuple[float, float] | None = None
+    through_one: bool = False
 
     def __getitem__(self, balance: str) -> MachineBalance:
         return next(one for one in self.balances if one.balance == balance)
+
+    def moved(self, courses: Sequence[Course]) -> list[Course]:
+        """Return motions of it with the chamber that its pump acts on."""
+        return [replace(course, through_one=self.through_one) for course in courses]
 
     def to_dict(self) -> dict:
         """Return the JSON form, key ``machine``."""
@@ -194,6 +200,7 @@ class Machine:
             "load_varied": self.load_varied, "turns": self.scale.turns, "pieces": self.pieces,
             "odd": self.odd,
             "stiffness": self.stiffness, "areas": self.areas, "scale": self.scale,
+            "through_one": self.through_one,
             "policy": self.policy, "balances": self.balances})
 
 
@@ -219,7 +226,8 @@ def machine_of(recordings: Sequence[Recording], settings: Settings, vary: Sequen
     if len(recordings) < policy.fewest:
         raise InputError(f"expected at least {policy.fewest} recordings of one machine, got "
                          f"{len(recordings)}")
-    courses = [course_of(recording, settings) for recording in recordings]
+    courses = of_one_machine([course_of(recording, settings) for recording in recordings],
+                             settings.rig, policy)
     return machine_from(courses, settings.rig, vary, without, policy)
 
 
@@ -239,6 +247,7 @@ def healthy_machine(recordings: Sequence[Recording], settings: Settings,
     if not any(course.moving.any() for course in courses):
         raise InputError(f"{recordings[0].source}: expected a reference recording in which the "
                          "piston moves, found none")
+    courses = of_one_machine(courses, settings.rig, policy)
     if len(courses) >= policy.fewest:
         machine = machine_from(courses, settings.rig, (), (), policy)
         strange = {one.place for one in machine.odd}
@@ -292,7 +301,7 @@ def machine_from(courses: Sequence[Course], rig: Rig, vary: Sequence[str], witho
                     for i, one in enumerate(courses))
     return Machine(rig.name, sources, scale, bool(varied), pieces, tuple(found),
                    _odd(sources, found, policy), policy, stiffness_of(courses, rig),
-                   (rig.area_1, rig.area_2))
+                   (rig.area_1, rig.area_2), courses[0].through_one)
 
 
 def pressure_varied(courses: Sequence[Course], policy: Policy) -> bool:

@@ -10,24 +10,53 @@ the rest.  A term enters with the largest mean of d_i = ln(e_i / e_i with it), i
 ``gain`` at least with a t of ``repeats``; then all terms are tried for removal by the same rule.
 """
 
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from eha_monitor.balances.candidates import founded
+from eha_monitor.balances.candidates import Scale, flow_candidates, founded
+from eha_monitor.balances.course import Course
 from eha_monitor.balances.least_squares import (
     independent,
     inverse_of,
     signed_solution,
     weights_of,
 )
-from eha_monitor.balances.policy import Policy
-from eha_monitor.balances.table import Table
+from eha_monitor.balances.policy import POLICY, Policy
+from eha_monitor.balances.table import Table, tables_of
+from eha_monitor.settings.rig import Rig
 
 SOFT = 1e-3  # of the other half's products, so that a half without motion leaves nothing open
 ALONE = 0.1  # of what all recordings know of a parameter, that the sum of each alone knows
 MOST_TERMS = 10  # a choice that has not ended by then is none
+
+
+PUMP = ("D_p", "dD_p", "C_h", "C_x", "L", "L_1")  # what tells which chamber a pump acts on
+
+
+def of_one_machine(courses: Sequence[Course], rig: Rig, policy: Policy = POLICY) -> list[Course]:
+    """Return motions of one machine with the chamber that its pump acts on.
+
+    Behind valves it fills either chamber of a single-rod cylinder in turn; beside an accumulator
+    it acts on chamber 1 whichever way it turns.  It is the latter where the flow balances leave
+    less with it on unseen parts, by what a name owes.
+    """
+    courses = list(courses)
+    if not all(course.has_flow and course.ratio != 1.0 for course in courses):
+        return courses
+    in_turn, through_one = ways = [[replace(course, through_one=one) for course in courses]
+                                   for one in (False, True)]
+    wanted = [one for one in flow_candidates(Scale.of(courses), rig) if one.name in PUMP]
+    errors = []
+    for way in ways:
+        tables = Recordings(tables_of(way, rig, "flow", wanted, policy), own_oil=True)
+        names = list(tables.candidates)
+        errors.append(tables.errors(names) if len(courses) > 1 else np.array(
+            [table.rms(table.crosswise(names)) for table in tables.tables]))
+    gain, t = tables.gain(*errors)
+    return through_one if (gain >= policy.gain and t >= policy.repeats if len(courses) > 1
+                           else gain >= policy.alone) else in_turn
 
 
 @dataclass(frozen=True)
