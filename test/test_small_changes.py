@@ -15,6 +15,7 @@ from eha_monitor.balances.course import course_of
 from eha_monitor.balances.judge import judge, same_quantity
 from eha_monitor.balances.machine import healthy_machine
 from eha_monitor.balances.together import of_one_machine
+from eha_monitor.balances.viscosity import steadier
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings import settings_from_tree
 
@@ -22,10 +23,11 @@ A_1, A_2, VOLUME, BETA, PUMP = 3.1e-3, 2.1e-3, 6e-4, 0.9e9, 1.6e-6
 
 
 def pumped(seed, leak=2.4e-12, pump=PUMP, lag=0.014, dry=280.0, seconds=24.0,
-           delay=0.0, valves=False):
+           delay=0.0, valves=False, damping=1.0, oil=None):
     """Return a recording; ``pump`` m³/rad, ``lag`` and ``delay`` s of the drive, ``dry`` N.
 
-    Behind ``valves`` the pump fills chamber 2 on the way back.
+    Behind ``valves`` the pump fills chamber 2 on the way back.  With an ``oil`` so many times as
+    viscous the damping is 6200 N s/m times that and ``damping``, and the leak is divided by it.
     """
     rng, dt = np.random.default_rng(seed), 2e-3
     t = np.arange(0.0, seconds, dt)
@@ -34,11 +36,13 @@ def pumped(seed, leak=2.4e-12, pump=PUMP, lag=0.014, dry=280.0, seconds=24.0,
     v = sum(a * b * np.cos(b * t + c) for a, b, c in zip(
         size, w, rng.uniform(0.0, 2.0 * np.pi, 4), strict=True))
     x = np.cumsum(v) * dt
-    force = (500.0 * np.gradient(v, dt) + rng.uniform(5500.0, 7000.0) * v + 5800.0
+    b, own = rng.uniform(5500.0, 7000.0), rng.uniform(0.85, 1.15)
+    b, own = (b, own) if oil is None else (6200.0 * oil, 1.0 / oil)
+    force = (500.0 * np.gradient(v, dt) + damping * b * v + 5800.0
              + dry * np.tanh(v / 5e-4) + 4e4 * x)
     p2 = 22e5 + 4e5 * np.sin(0.5 * t)
     p1 = (force + A_2 * p2) / A_1
-    leak *= rng.uniform(0.85, 1.15)
+    leak *= own
     omega = (A_1 * v + leak * (p1 - p2) + VOLUME / BETA * np.gradient(p1, dt)) / pump
     if valves:
         back = (A_2 * v + leak * (p1 - p2) - 5e-4 / BETA * np.gradient(p2, dt)) / pump
@@ -134,3 +138,35 @@ def test_what_is_small_is_beyond_its_limit(machine, settings):
             assert abs(one.deviations) > one.limit
             assert one.apart == pytest.approx(abs(one.here - one.machine) / abs(one.deviations))
         assert judged.belongs and judged.small, recording.source
+
+
+@pytest.fixture(scope="module")
+def in_oils(settings):
+    return healthy_machine([pumped(seed, oil=oil) for seed, oil in enumerate(
+        (0.75, 0.86, 0.97, 1.08, 1.19, 1.30))], settings)
+
+
+def test_damping_is_compared_beside_the_oil_that_the_leakage_shows(in_oils, settings):
+    """60 % more than warm oil has is what cold oil has, but then it leaks less."""
+    found = said(in_oils, pumped(31, oil=0.85, damping=1.6), settings)
+    (change,) = found.changes
+    assert change.what == "B" and "that the leakage shows" in change.statement
+    assert change.reference.value == pytest.approx(0.85 * 6200.0, rel=0.1)
+    assert change.now.value == pytest.approx(1.6 * 0.85 * 6200.0, rel=0.1)
+
+
+def test_a_leak_is_compared_beside_the_oil_that_the_damping_shows(in_oils, settings):
+    found = said(in_oils, pumped(32, oil=1.2, leak=1.6 * 2.4e-12), settings)
+    assert [one.what for one in found.changes] == ["cross_port_leakage"]
+
+
+def test_oil_as_warm_or_cold_as_ever_is_healthy(in_oils, settings):
+    for seed, oil in ((33, 0.8), (34, 1.0), (35, 1.25)):
+        assert said(in_oils, pumped(seed, oil=oil), settings).verdict == "consistent"
+
+
+def test_a_sum_that_is_no_steadier_says_nothing():
+    rng = np.random.default_rng(5)
+    b, oil = rng.normal(0.0, 0.1, 6), rng.normal(0.0, 0.2, 6)
+    assert steadier(b, b + rng.normal(0.0, 0.1, 6)) < 2.0
+    assert steadier(oil, 0.02 * rng.normal(0.0, 1.0, 6)) > 2.0

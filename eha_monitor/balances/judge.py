@@ -39,6 +39,7 @@ class Moved:
     removed : by how much the change lowers the error, as a share of the signal.
     rivals : effects that explain the recording as well.
     apart : deviation of the difference, which does not hold what both values share.
+    given : under what the machine's value holds, in words.
     """
 
     candidate: Candidate
@@ -51,6 +52,7 @@ class Moved:
     removed: float = 0.0
     rivals: tuple[str, ...] = ()
     apart: float = np.nan
+    given: str = ""
 
 
 @dataclass(frozen=True)
@@ -88,6 +90,14 @@ class JudgedBalance:
     each: tuple[Table, ...] = ()
     small: Moved | None = None
 
+    def with_change(self, moved: Moved) -> "JudgedBalance":
+        """Return the balance with one more change of a number that the machine has."""
+        name = moved.candidate.name
+        held, now = self.held | {name: moved.machine}, self.now | {name: moved.here}
+        error, after = (left_unseen(self.table, one, self.free) for one in (held, now))
+        return replace(self, held=held, now=now, error=error, after=after,
+                       changed=(*self.changed, replace(moved, removed=error - after)))
+
 
 @dataclass(frozen=True)
 class Judged:
@@ -96,13 +106,14 @@ class Judged:
     Attributes
     ----------
     settings : the numbers of its setting, by name: (value, stddev).
-    values : each of the machine's parameters, as the recording has it, the same.
+    values : each of the machine's parameters, as the recording has it: (value, stddev, part of
+        it that is chance).
     """
 
     source: str
     balances: tuple[JudgedBalance, ...]
     settings: dict[str, tuple[float, float]] = field(default_factory=dict)
-    values: dict[str, tuple[float, float]] = field(default_factory=dict)
+    values: dict[str, tuple[float, float, float]] = field(default_factory=dict)
 
     @property
     def changed(self) -> tuple[Moved, ...]:
@@ -169,7 +180,8 @@ def judge(machine: Machine, courses: Sequence[Course], settings: Settings) -> Ju
         here, chance = covariance_by_chance(table, fitted)
         covariance = chance + form_and_doubts(table, fitted, found[-1].after, machine.policy)
         values |= {name: row for name, *row in zip(
-            fitted, here, np.sqrt(np.diag(covariance)).tolist(), strict=True) if name in held}
+            fitted, here, np.sqrt(np.diag(covariance)).tolist(),
+            np.sqrt(np.diag(chance)).tolist(), strict=True) if name in held}
     return Judged(", ".join(one.source for one in courses), tuple(found), own, values)
 
 
@@ -222,11 +234,7 @@ class _Beside:
 
     def error(self, weights: dict[str, float]) -> float:
         """Return the share of the signal that is left on unseen parts."""
-        table = self.table
-        known = {own: value for name, value in weights.items() for own in columns_of(name, table)}
-        return unseen(table, [table.places[name] for name in known],
-                      [table.places[name] for name in self.free if name not in known],
-                      np.array(list(known.values())))
+        return left_unseen(self.table, weights, self.free)
 
     def at_best(self, weights: dict[str, float], but: Iterable[str] = ()) -> dict[str, float]:
         """Return parameters with those of the oil, ``but`` some, at what fits best."""
@@ -446,6 +454,14 @@ def same_quantity(other: Candidate, one: Candidate) -> bool:
         return other.family == WEAR
     return other.name == one.name or (
         bool(one.symbol) and (other.effect, other.symbol) == (one.effect, one.symbol))
+
+
+def left_unseen(table: Table, weights: dict[str, float], free: Iterable[str]) -> float:
+    """Return the share of the signal that parameters leave on unseen parts beside free ones."""
+    known = {own: value for name, value in weights.items() for own in columns_of(name, table)}
+    return unseen(table, [table.places[name] for name in known],
+                  [table.places[name] for name in free if name not in known],
+                  np.array(list(known.values())))
 
 
 def columns_of(name: str, table: Table) -> list[str]:
