@@ -12,7 +12,7 @@ import pytest
 from eha_monitor.balances.candidates import Scale, candidates_of
 from eha_monitor.balances.changed import against
 from eha_monitor.balances.course import course_of
-from eha_monitor.balances.judge import judge, same_quantity
+from eha_monitor.balances.judge import judge
 from eha_monitor.balances.machine import healthy_machine
 from eha_monitor.balances.together import of_one_machine
 from eha_monitor.balances.viscosity import steadier
@@ -85,7 +85,8 @@ def test_a_small_sure_difference_has_its_name_and_its_value(machine, settings):
     assert found.message.startswith(
         "what differs is too small to be called a change: the pump's displacement")
     more, doubt = map(float, re.search(r"\+([\d.]+) ± ([\d.]+) %", found.message).groups())
-    assert more == pytest.approx(1.3, abs=0.4) and abs(more - 1.3) < 3.0 * doubt
+    # Oils that differ by 15 % leave 0.01 % of the pump's size in what healthy recordings have.
+    assert more == pytest.approx(1.3, abs=0.4) and abs(more - 1.3) < 3.0 * np.hypot(doubt, 0.01)
 
 
 @pytest.mark.parametrize("valves", [False, True])
@@ -118,11 +119,11 @@ def test_columns_of_one_number_add(settings):
     of = {kind: {c.name: c for c in candidates_of(kind, Scale.of(courses), settings.rig)}
           for kind in ("force", "flow", "drive")}
     drive, force, flow = of["drive"], of["force"], of["flow"]
-    assert same_quantity(drive["tau"], drive["tau_d"])
-    assert same_quantity(force["F_z2"], force["F_c"])
-    assert same_quantity(force["F_s1"], force["F_c"])
-    assert not same_quantity(force["F_c"], force["F_s1"])
-    assert not same_quantity(flow["L"], flow["L_1"]) and same_quantity(flow["L"], flow["L"])
+    assert drive["tau"].adds_to(drive["tau_d"])
+    assert force["F_z2"].adds_to(force["F_c"])
+    assert force["F_s1"].adds_to(force["F_c"])
+    assert not force["F_c"].adds_to(force["F_s1"])
+    assert not flow["L"].adds_to(flow["L_1"]) and flow["L"].adds_to(flow["L"])
 
 
 def test_a_leak_has_one_name(machine, settings):

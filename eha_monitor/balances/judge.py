@@ -8,7 +8,7 @@ import numpy as np
 
 from eha_monitor import ties
 from eha_monitor.balances.alone import covariance_by_chance, form_and_doubts
-from eha_monitor.balances.candidates import Candidate, balances_in, candidates_of
+from eha_monitor.balances.candidates import DRY, Candidate, balances_in, candidates_of
 from eha_monitor.balances.course import Course
 from eha_monitor.balances.least_squares import weights_of
 from eha_monitor.balances.machine import Machine, MachineBalance, oil_of, usual_of
@@ -21,7 +21,7 @@ from eha_monitor.balances.together import setting_of, unseen
 from eha_monitor.settings.monitor import Settings
 
 MOST_CHANGES = 3  # that are looked for in one balance
-WEARS, WEAR = "F_c", "dry"
+WEARS = "F_c"
 OIL = ("compliance", "entrained_air")  # that every machine has, however little it does
 OF_PLACE = ("spring_load", "position_load")  # they hold a load of their own
 ERROR = 1.5  # times the largest of the machine's own recordings: the balance does not belong
@@ -258,8 +258,7 @@ class _Beside:
         the healthy and the present value, not in their difference.
         """
         c, forms = self.of[found.names[i]], self.one.form_of
-        alike = {other: self.part(c, other) for other in self.held if same_quantity(
-            self.of[other], c)}
+        alike = {other: self.part(c, other) for other in self.held if self.of[other].adds_to(c)}
         base = sum(share * self.held[other] for other, share in alike.items())
         form = float(np.linalg.norm([share * forms.get(other, 0.0)
                                      for other, share in alike.items()]))
@@ -270,7 +269,7 @@ class _Beside:
 
     def part(self, one: Candidate, other: str) -> float:
         """Return what one unit of another column of the same quantity is of it."""
-        return own_part(one.name, self.table, {other: 1.0}) if one.family == WEAR else 1.0
+        return own_part(one.name, self.table, {other: 1.0}) if one.family == DRY else 1.0
 
     def search(self) -> tuple[list[Moved], dict[str, float], bool, Moved | None, Moved | None]:
         """Return what has changed: one more term at a time, until none is far.
@@ -299,8 +298,8 @@ class _Beside:
             # do; which it is, what explains the recording; and whether it matters, what is named.
             # What is far and removes nothing is no physics: the balance's error says whether it
             # matters.
-            taken = {moved.candidate.name for moved in changes}
-            amount, gone = self.gone(left, beside, now, taken)
+            taken = {moved.candidate.quantity for moved in changes}
+            amount, gone = self.gone(left, scatter, now, taken)
             shows = ties.largest(np.where(far > 1.0, gone, -np.inf))
             if not (far[shows] > 1.0 and gone[shows] > 0.0):
                 break
@@ -327,15 +326,13 @@ class _Beside:
             left, free_oil = (each.moved(i, step) for each in (left, free_oil))
         return changes, now, True, largest, None
 
-    def gone(self, left: Amplitudes, beside: Scatter, now: dict[str, float], taken: set[str]
-             ) -> tuple[np.ndarray, np.ndarray]:
+    def gone(self, left: Amplitudes, scatter: Scatter, now: dict[str, float],
+             taken: set[tuple[str, str]]) -> tuple[np.ndarray, np.ndarray]:
         """Return by how much each term has moved and the squares that are gone with it, (k,)."""
         amount, gone = np.array([left.gone_with(self.oil, self.policy.varied, i, mean)
-                                 for i, mean in enumerate(beside.mean)]).T
+                                 for i, mean in enumerate(scatter.mean)]).T
         for i, name in enumerate(left.names):
-            told = any(same_quantity(self.of[a], self.of[b]) and same_quantity(
-                self.of[b], self.of[a]) for a, b in ((name, other) for other in taken))
-            if told or (name in self.signed and self.of[name].sign * (
+            if self.of[name].quantity in taken or (name in self.signed and self.of[name].sign * (
                     now.get(name, 0.0) + amount[i]) < 0.0):
                 gone[i] = -np.inf
         return amount, gone
@@ -442,18 +439,6 @@ def is_loud(error: float, usual: float, size: float, table: Table) -> bool:
         in a quiet motion the same newtons are a larger share.
     """
     return error > ERROR * max(usual * max(size / table.size, 1.0), table.floor / table.size)
-
-
-def same_quantity(other: Candidate, one: Candidate) -> bool:
-    """Tell whether another column adds to what is told of one: it has the same number.
-
-    So do a drive's lags by the commanded and the measured speed; dry friction of any shape is a
-    force.
-    """
-    if one.family == WEAR and not one.upon:
-        return other.family == WEAR
-    return other.name == one.name or (
-        bool(one.symbol) and (other.effect, other.symbol) == (one.effect, one.symbol))
 
 
 def left_unseen(table: Table, weights: dict[str, float], free: Iterable[str]) -> float:

@@ -7,7 +7,7 @@ products of recording i, weighted, and T its settings' columns,
 
 e_i is the RMS on i under w_-i, its settings fitted on every other pair of blocks and judged on
 the rest.  A term enters with the largest mean of d_i = ln(e_i / e_i with it), if that is
-``gain`` at least with a t of ``repeats``; then all terms are tried for removal by the same rule.
+``gain`` at least with a t of ``repeats``.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -207,9 +207,7 @@ class Recordings:
         names = [one.name for one in self.candidates.values() if one.always]
         allowed, steps = [name for name in allowed if name not in names], []
         errors = self.errors(names)
-        tried = set()
-        while len(names) < MOST_TERMS and tuple(sorted(names)) not in tried:
-            tried.add(tuple(sorted(names)))
+        while len(names) < MOST_TERMS:
             best = None
             for name in allowed:
                 if name in names or self._has_variant(name, names) or (
@@ -225,7 +223,6 @@ class Recordings:
             names.append(best[0])
             steps.append(best[:3])
             errors = best[3]
-            names, errors = self._pruned(names, errors, policy)
             names, errors = self._reshaped(names, errors, allowed)
         return Chosen(tuple(names), errors, tuple(steps),
                       self._named(names, errors, allowed, policy))
@@ -269,24 +266,6 @@ class Recordings:
         shared, _, _ = self.split(names)
         reach = np.max([table.reach[shared] for table in self.tables], axis=0)
         return bool((np.abs(w) <= reach).all())
-
-    def _pruned(self, names: list[str], errors: np.ndarray, policy: Policy
-                ) -> tuple[list[str], np.ndarray]:
-        """Take out terms that no longer gain what a name owes, the least useful first."""
-        while True:
-            worst = None
-            for name in names:
-                if self.candidates[name].always:
-                    continue
-                rest = founded([other for other in names if other != name], self.candidates)
-                without_it = self.errors(rest)
-                mean, t = self.gain(without_it, errors)
-                if (mean < self.owed(name, policy) or t < policy.repeats) and (
-                        worst is None or mean < worst[0]):
-                    worst = mean, rest, without_it
-            if worst is None:
-                return names, errors
-            names, errors = worst[1:]
 
     def _reshaped(self, names: list[str], errors: np.ndarray, allowed: list[str]
                   ) -> tuple[list[str], np.ndarray]:
