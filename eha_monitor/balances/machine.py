@@ -85,7 +85,6 @@ class MachineBalance:
     regimes : where the error lies.
     size : usual standard deviation of the balance, SI; ``floor`` what the sensors leave of it;
         ``effective`` independent samples in all recordings.
-    steps : (name, mean gain, t) as the terms entered.
     named : families of terms that are named; the rest corrects their form.
     scatter : by how much each term would move in one recording or another; ``beside`` the same
         where what goes with the oil is free within its spread.
@@ -108,7 +107,6 @@ class MachineBalance:
     size: float
     floor: float
     effective: float
-    steps: tuple[tuple[str, float, float], ...]
     named: tuple[Named, ...]
     scatter: Scatter
     beside: Scatter
@@ -369,7 +367,7 @@ def _balance(kind: str, courses: Sequence[Course], scale: Scale, rig: Rig,
         tuple(nominal_errors(kind, tables, rig).tolist()), tuple(chosen.errors.tolist()),
         tuple(after.tolist()), tuple(reference.tolist()), repeats, regimes(kind, courses, left),
         float(np.median(sizes)), float(np.median([table.floor for table in tables])),
-        float(sum(table.effective for table in tables)), chosen.steps,
+        float(sum(table.effective for table in tables)),
         chosen.named, *(scatter_of(
             tables, weights, [s.name for s in settings if s.name not in usual], allowed, policy,
             loose | oil, pieces) for oil in ({}, oil_of(parameters, of, policy))), refused,
@@ -432,7 +430,7 @@ def gated(recordings: Recordings, chosen: Chosen, kind: str, policy: Policy
     errors = recordings.errors(first)
     if rms(chosen.errors) <= rms(errors) + policy.worse:
         return chosen, ()
-    return Chosen(tuple(first), errors, (), ()), (Refused(
+    return Chosen(tuple(first), errors, ()), (Refused(
         "unseen_error", kind, f"least squares leave {share(rms(errors), 2)} of the "
         f"{kind} on recordings left out, what was chosen "
         f"{share(rms(chosen.errors), 2)}: their terms stand in its place"),)

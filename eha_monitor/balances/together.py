@@ -80,13 +80,11 @@ class Chosen:
     ----------
     names : of all terms, those that every model has first.
     errors : (r,) of each recording left out, over its standard deviation.
-    steps : (name, mean gain, t) as they entered.
     named : families of terms that gain enough to be named.
     """
 
     names: tuple[str, ...]
     errors: np.ndarray
-    steps: tuple[tuple[str, float, float], ...]
     named: tuple[Named, ...]
 
 
@@ -205,7 +203,7 @@ class Recordings:
     def choose(self, policy: Policy, allowed: Iterable[str]) -> Chosen:
         """Choose the terms of the balance among those that are allowed."""
         names = [one.name for one in self.candidates.values() if one.always]
-        allowed, steps = [name for name in allowed if name not in names], []
+        allowed = [name for name in allowed if name not in names]
         errors = self.errors(names)
         while len(names) < MOST_TERMS:
             best = None
@@ -217,15 +215,11 @@ class Recordings:
                 mean, t = self.gain(errors, with_it)
                 if mean >= self.owed(name, policy) and t >= policy.repeats and (
                         best is None or mean > best[1]) and self._possible([*names, name]):
-                    best = name, mean, t, with_it
+                    best = name, mean, with_it
             if best is None:
                 break
-            names.append(best[0])
-            steps.append(best[:3])
-            errors = best[3]
-            names, errors = self._reshaped(names, errors, allowed)
-        return Chosen(tuple(names), errors, tuple(steps),
-                      self._named(names, errors, allowed, policy))
+            names, errors = self._reshaped([*names, best[0]], best[2], allowed)
+        return Chosen(tuple(names), errors, self._named(names, errors, allowed, policy))
 
     def _named(self, names: list[str], errors: np.ndarray, allowed: list[str], policy: Policy
                ) -> tuple[Named, ...]:
