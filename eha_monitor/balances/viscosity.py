@@ -56,6 +56,7 @@ def _moved(machine: Machine, judged: Judged, rig: Rig) -> Moved | None:
     healthy = float(np.exp(means.sum() - here[1 - i]))
     of = {c.name: c for one in judged.balances for c in one.table.candidates}
     rivals = (of[BOTH[1 - i]].effect,) if warm[1 - i] < policy.varied else ()
+    rivals += FORCE_OF_SENSORS[:1] if BOTH[i] == "L" else ()  # its zero makes a leak where none is
     return Moved(of[BOTH[i]], float(value[i]), float(total[i]), healthy - float(more[i]),
                  healthy * float(np.hypot(spread, noise)), float(t), limit, rivals=rivals,
                  apart=healthy * abs(float(np.expm1(off) / t)),
