@@ -24,6 +24,7 @@ from eha_monitor.balances.named import (
 )
 from eha_monitor.balances.parameters import Stiffness, stiffness_of
 from eha_monitor.balances.policy import POLICY, Policy
+from eha_monitor.balances.together import of_one_machine
 from eha_monitor.errors import InputError
 from eha_monitor.mismatch.diagnosis import (
     Agreement,
@@ -77,7 +78,7 @@ def answered(recordings: Sequence[Recording], settings: Settings, asked: Asked =
     baselines = tuple(baseline(recording, settings) for recording in recordings)
     if not any(course.moving.any() for course in courses):
         return still(recordings, courses, baselines, started)
-    scale, machine = Scale.of(courses), None
+    courses, scale, machine = of_one_machine(courses, rig, policy), Scale.of(courses), None
     own, untestable = (), ()
     if asked.hypothesis is not None:
         candidate = candidate_of(asked.hypothesis, rig) if len(courses) < policy.fewest else None
@@ -96,7 +97,7 @@ def answered(recordings: Sequence[Recording], settings: Settings, asked: Asked =
                   for balance in balances_in(courses, rig)]
     shown = list(courses)
     if asked.held_out is not None:
-        shown = [course_of(asked.held_out, settings)]
+        shown = [replace(course_of(asked.held_out, settings), through_one=courses[0].through_one)]
         there = balances_in(shown, rig)
         models = [on_held_out(one, shown[0], rig, scale, policy) for one in models
                   if one.balance in there]

@@ -15,6 +15,7 @@ import numpy as np
 from eha_monitor.balances.candidates import pressure_rate
 from eha_monitor.balances.course import Course, course_of, known_of
 from eha_monitor.balances.least_squares import independent, inverse_of, signed_solution
+from eha_monitor.balances.together import of_one_machine
 from eha_monitor.errors import InputError
 from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.physics.parameters import theta_of
@@ -128,6 +129,7 @@ def baseline(recording: Recording, settings: Settings) -> Baseline:
     force, flow = force_fit(course, settings.rig, beside(course, settings)), None
     if force is None:
         missing["force"] = "too little motion at a steady direction"
+    (course,) = of_one_machine([course], settings.rig)
     columns = flow_columns(course, settings.rig)
     if columns is None:
         missing["flow"] = "needs the channels omega, p1 and p2, and rig.area_1 and area_2"

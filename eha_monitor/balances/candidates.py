@@ -42,6 +42,7 @@ TOPS = (0.999, 0.98, 0.9)  # quantiles of the pump's speed at which its drive ma
 MASS = 5.0  # times the config's: oil in lines moves with the piston, but not more than that
 AIR_EXPONENT = 1.4  # adiabatic
 LAMINAR = 1e4  # Pa: the catalogue's own rounding of a flow at no pressure difference
+DRY = "dry"  # family of dry friction
 DEAD_SPEED = 5.0  # rad/s over which a pump's dead zone is rounded
 
 
@@ -101,6 +102,20 @@ class Candidate:
     def kind(self) -> str:
         """Its family, or else its effect."""
         return self.family or self.effect
+
+    @property
+    def quantity(self) -> tuple[str, str]:
+        """Of what its parameter is the number: dry friction of any shape is one force.
+
+        So are a drive's lags by the commanded and by the measured speed one time.
+        """
+        if self.family == DRY and not self.upon:
+            return DRY, ""
+        return self.effect, self.symbol or self.name
+
+    def adds_to(self, one: "Candidate") -> bool:
+        """Tell whether it adds to another's number: so does friction's rise at low speed."""
+        return self.quantity == one.quantity or one.quantity == (self.family, "")
 
 
 def founded(names: Iterable[str], of: Mapping[str, Candidate]) -> list[str]:

@@ -16,6 +16,7 @@ from eha_monitor.balances.named import size_of
 from eha_monitor.balances.parameters import Stiffness, stiffness_of
 from eha_monitor.balances.policy import POLICY
 from eha_monitor.balances.scatter import limit_of
+from eha_monitor.balances.viscosity import beside_viscosity
 from eha_monitor.mismatch.diagnosis import (
     Change,
     Diagnosis,
@@ -55,7 +56,8 @@ def against(machine: Machine, recordings: Sequence[Recording], settings: Setting
     recordings, courses, left_out = courses_of(recordings, settings)
     if not any(course.moving.any() for course in courses):
         return replace(still(recordings, courses, (), started), references=references)
-    judged = judge(machine, courses, settings)
+    courses = machine.moved(courses)
+    judged = beside_viscosity(machine, judge(machine, courses, settings), rig)
     moved, stiffness = judged.changed, stiffness_of(courses, rig)
     verdict = ("consistent" if judged.belongs else "mismatch" if judged.explained
                else "unexplained")
@@ -144,7 +146,7 @@ def _change(moved: Moved, machine: Machine, settings: Settings, stiffness: Stiff
         f", {with_uncertainty(abs(more), moved.apart, unit)} {'more' if more > 0.0 else 'less'}")
     return Change(what, symbol, c.balance, healthy, now, unit, (
         f"{words} is {with_uncertainty(now.value, now.stddev, unit)}, where {runs} have "
-        f"{with_uncertainty(healthy.value, healthy.stddev, unit)}{by}"),
+        f"{with_uncertainty(healthy.value, healthy.stddev, unit)}{moved.given}{by}"),
         tuple(EFFECTS.get(one, one) for one in moved.rivals))
 
 
@@ -192,7 +194,7 @@ def _health(machine: Machine, judged: Judged, stiffness: Stiffness, before: bool
         between = max(p.between, LEAST * machine.policy.between * abs(p.value))  # its oil's
         value, stddev = p.value, float(np.linalg.norm((between, p.stddev, form)))
         if not before:
-            value, stddev = judged.values.get(p.name, (value, stddev))
+            value, stddev, *_ = judged.values.get(p.name, (value, stddev))
         if value > 0.0 and stddev < value:  # else these recordings do not determine it
             found["B"] = Value(value, stddev, "N·s/m")
     modulus, stddev = (machine.stiffness if before else stiffness).modulus

@@ -40,7 +40,6 @@ COMMANDED, MEASURED = 0.005, 0.05  # of its size: a smaller demand has no sign; 
 TRAVEL = 20.0  # times the position's noise: less is no motion
 DESIGNS = 64  # low-passes that are kept
 CHANNELS = ("x", "x_d", "omega", "omega_d", "p1", "p2", "force")
-HELD = 0.15  # of the other chamber's spread: on rigs of another simulator 0.01 to 0.09, else 0.24
 GAUGE = 0.5  # of the ambient pressure: a reading below is no absolute pressure
 
 
@@ -62,8 +61,9 @@ class Course:
     demand : what the drive or valve is commanded, any unit: only its sign is used; None if no
         channel says.
     quiet : share of its usual size below which the demand has no sign.
-    known : balance -> what the config's own effects add to it; ``stroke`` is the rate at which
-        volumes that change over the stroke take up oil at the pressure of 1 Pa, m³·Pa/s.
+    known : balance -> what the config's own effects add to it, (m,), or as of either chamber
+        (2, m); ``stroke`` is the rate at which volumes that change over the stroke take up oil at
+        the pressure of 1 Pa, m³·Pa/s.  See :meth:`added`.
     sensors : (n_x, n_p, n_omega, n_force) noise of the channels in one sample, SI.
     skew : by how much one channel may be late against another, s: half a sample.
     passed : (band's response to white noise, and to its derivative in 1/s), rms.
@@ -71,6 +71,8 @@ class Course:
     ratio : area of chamber 2 over that of chamber 1; None of a rig without areas.
     good : (m,) bool, measured on all channels and away from stops.
     moving : (m,) bool, fast enough for dry friction to have a sign.
+    through_one : whichever way it turns, the pump acts on chamber 1
+        (:func:`~eha_monitor.balances.together.of_one_machine`).
     """
 
     source: str
@@ -96,6 +98,7 @@ class Course:
     ratio: float | None
     good: np.ndarray
     moving: np.ndarray
+    through_one: bool = False
 
     def __len__(self) -> int:
         return len(self.x)
@@ -158,9 +161,8 @@ class Course:
         """Chamber that the pump fills, (m,): 1, -1, or 0 before the first demand.
 
         Behind valves it is the demand that says so, not the pressure: that falls at each switch.
-        A chamber whose pressure an accumulator holds is never filled by the pump alone.
         """
-        if self.ratio != 1.0 and np.std(self.p2[self.good]) < HELD * np.std(self.p1[self.good]):
+        if self.through_one:
             return np.ones(len(self))
         if self.demand is None or self.ratio == 1.0:
             return np.where(self.p1 > self.p2, 1.0, -1.0)
@@ -171,6 +173,11 @@ class Course:
         if self.mean_of_both:
             return 0.5 * (one + two)
         return np.where(self.pumped_side > 0.0, one, two)
+
+    def added(self, balance: str) -> np.ndarray:
+        """Return what the config's own effects add to a balance, (m,) SI."""
+        known = self.known[balance]
+        return known if known.ndim == 1 else self.of_filled(*known)
 
     def in_band(self, columns: np.ndarray) -> np.ndarray:
         """Return columns (m, k) or (m,) after the low-pass of every balance, compared points."""
@@ -331,10 +338,10 @@ def courses_of(recordings: Sequence[Recording], settings: Settings
 
 def known_of(course: Course, rig: Rig, theta: np.ndarray, active: np.ndarray
              ) -> dict[str, np.ndarray]:
-    """Return what the config adds to each balance beyond B, D_p and the compliance, (m,) SI.
+    """Return what the config adds to each balance beyond B, D_p and the compliance, SI.
 
-    The force of its mass and effects, and the flow of its leakage and effects as of the chamber
-    that the pump fills, by the catalogue's own compiled terms along the measured motion.
+    The force of its mass and effects, (m,), and the flow of its leakage and effects as of either
+    chamber, (2, m), by the catalogue's own compiled terms along the measured motion.
     """
     zero = np.zeros(len(course))
     c = np.zeros((len(course), s.N_CONTRIBUTIONS))
@@ -357,8 +364,7 @@ def known_of(course: Course, rig: Rig, theta: np.ndarray, active: np.ndarray
         makeup = rig.makeup_conductance * (p - rig.charge_pressure)
         left.append(sign / share * (c[:, into] - sign * crossing - makeup - soft * rate))
         stroke.append(sign / share * c[:, volume] * rate)
-    return known | {"flow": pump + course.of_filled(*left),
-                    "stroke": course.of_filled(*stroke)}
+    return known | {"flow": pump + np.stack(left), "stroke": np.stack(stroke)}
 
 
 @lru_cache(DESIGNS)

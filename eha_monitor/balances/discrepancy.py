@@ -29,13 +29,10 @@ class Learned:
     Attributes
     ----------
     before, after : (r,) error of each recording before and after, in the unit of the sizes given.
-    width, ridge : that did best.
     """
 
     before: np.ndarray
     after: np.ndarray
-    width: float
-    ridge: float
 
     @property
     def removed(self) -> float:
@@ -78,17 +75,14 @@ def _lagged(values: np.ndarray, lag: float, dt: float) -> np.ndarray:
 
 
 def learned(signals: Sequence[np.ndarray], targets: Sequence[np.ndarray],
-            good: Sequence[np.ndarray], sizes: Sequence[float],
-            groups: Sequence[int] | None = None, seed: int = 0) -> Learned:
+            good: Sequence[np.ndarray], sizes: Sequence[float], seed: int = 0) -> Learned:
     """Fit targets by a flexible function of the signals, each recording left out in turn.
 
     Parameters
     ----------
     signals : (m, f) of each recording; targets (m,), good (m,) bool what is compared.
     sizes : by which each recording's error is divided.
-    groups : recordings of one number are left out together; each alone without it.
     """
-    groups = list(range(len(targets))) if groups is None else list(groups)
     pooled = np.concatenate([part[there] for part, there in zip(signals, good, strict=True)])
     centre, spread = pooled.mean(axis=0), np.maximum(pooled.std(axis=0), 1e-300)
     rng = np.random.default_rng(seed)
@@ -96,7 +90,7 @@ def learned(signals: Sequence[np.ndarray], targets: Sequence[np.ndarray],
     phase = rng.uniform(0.0, 2.0 * np.pi, FEATURES)
     before = np.array([np.sqrt(np.mean(r[there] ** 2)) / size for r, there, size in zip(
         targets, good, sizes, strict=True)])
-    best = Learned(before, np.full(len(before), np.inf), np.nan, np.nan)
+    best = Learned(before, np.full(len(before), np.inf))
     for width in WIDTHS:
         rows = []
         for part, there in zip(signals, good, strict=True):
@@ -109,16 +103,13 @@ def learned(signals: Sequence[np.ndarray], targets: Sequence[np.ndarray],
         gram, side = sum(grams), sum(sides)
         for ridge in RIDGES:
             after = np.empty(len(rows))
-            for group in sorted(set(groups)):
-                out = [i for i, one in enumerate(groups) if one == group]
-                part = gram - sum(grams[i] for i in out)
+            for i, row in enumerate(rows):
+                part = gram - grams[i]
                 part[np.diag_indices(len(part))] += ridge * np.trace(gram) / len(gram) * 1e-2
-                w = np.linalg.solve(part, side - sum(sides[i] for i in out))
-                for i in out:
-                    left = targets[i][good[i]] - rows[i] @ w
-                    after[i] = np.sqrt(np.mean(left**2)) / sizes[i]
+                left = targets[i][good[i]] - row @ np.linalg.solve(part, side - sides[i])
+                after[i] = np.sqrt(np.mean(left**2)) / sizes[i]
             if np.sum(after**2) < np.sum(best.after**2):
-                best = Learned(before, after, width, ridge)
+                best = Learned(before, after)
     return best
 
 

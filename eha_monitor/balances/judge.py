@@ -8,7 +8,7 @@ import numpy as np
 
 from eha_monitor import ties
 from eha_monitor.balances.alone import covariance_by_chance, form_and_doubts
-from eha_monitor.balances.candidates import Candidate, balances_in, candidates_of
+from eha_monitor.balances.candidates import DRY, Candidate, balances_in, candidates_of
 from eha_monitor.balances.course import Course
 from eha_monitor.balances.least_squares import weights_of
 from eha_monitor.balances.machine import Machine, MachineBalance, oil_of, usual_of
@@ -21,7 +21,7 @@ from eha_monitor.balances.together import setting_of, unseen
 from eha_monitor.settings.monitor import Settings
 
 MOST_CHANGES = 3  # that are looked for in one balance
-WEARS, WEAR = "F_c", "dry"
+WEARS = "F_c"
 OIL = ("compliance", "entrained_air")  # that every machine has, however little it does
 OF_PLACE = ("spring_load", "position_load")  # they hold a load of their own
 ERROR = 1.5  # times the largest of the machine's own recordings: the balance does not belong
@@ -39,6 +39,7 @@ class Moved:
     removed : by how much the change lowers the error, as a share of the signal.
     rivals : effects that explain the recording as well.
     apart : deviation of the difference, which does not hold what both values share.
+    given : under what the machine's value holds, in words.
     """
 
     candidate: Candidate
@@ -51,6 +52,7 @@ class Moved:
     removed: float = 0.0
     rivals: tuple[str, ...] = ()
     apart: float = np.nan
+    given: str = ""
 
 
 @dataclass(frozen=True)
@@ -88,6 +90,14 @@ class JudgedBalance:
     each: tuple[Table, ...] = ()
     small: Moved | None = None
 
+    def with_change(self, moved: Moved) -> "JudgedBalance":
+        """Return the balance with one more change of a number that the machine has."""
+        name = moved.candidate.name
+        held, now = self.held | {name: moved.machine}, self.now | {name: moved.here}
+        error, after = (left_unseen(self.table, one, self.free) for one in (held, now))
+        return replace(self, held=held, now=now, error=error, after=after,
+                       changed=(*self.changed, replace(moved, removed=error - after)))
+
 
 @dataclass(frozen=True)
 class Judged:
@@ -96,13 +106,14 @@ class Judged:
     Attributes
     ----------
     settings : the numbers of its setting, by name: (value, stddev).
-    values : each of the machine's parameters, as the recording has it, the same.
+    values : each of the machine's parameters, as the recording has it: (value, stddev, part of
+        it that is chance).
     """
 
     source: str
     balances: tuple[JudgedBalance, ...]
     settings: dict[str, tuple[float, float]] = field(default_factory=dict)
-    values: dict[str, tuple[float, float]] = field(default_factory=dict)
+    values: dict[str, tuple[float, float, float]] = field(default_factory=dict)
 
     @property
     def changed(self) -> tuple[Moved, ...]:
@@ -137,7 +148,7 @@ class Judged:
 
 def judge(machine: Machine, courses: Sequence[Course], settings: Settings) -> Judged:
     """Judge motions of one state against a machine: together, by their balances alone."""
-    rig = settings.rig
+    rig, courses = settings.rig, machine.moved(courses)
     found, own, values, there = [], {}, {}, balances_in(courses, rig)
     for one in machine.balances:
         if one.balance not in there:
@@ -169,7 +180,8 @@ def judge(machine: Machine, courses: Sequence[Course], settings: Settings) -> Ju
         here, chance = covariance_by_chance(table, fitted)
         covariance = chance + form_and_doubts(table, fitted, found[-1].after, machine.policy)
         values |= {name: row for name, *row in zip(
-            fitted, here, np.sqrt(np.diag(covariance)).tolist(), strict=True) if name in held}
+            fitted, here, np.sqrt(np.diag(covariance)).tolist(),
+            np.sqrt(np.diag(chance)).tolist(), strict=True) if name in held}
     return Judged(", ".join(one.source for one in courses), tuple(found), own, values)
 
 
@@ -222,11 +234,7 @@ class _Beside:
 
     def error(self, weights: dict[str, float]) -> float:
         """Return the share of the signal that is left on unseen parts."""
-        table = self.table
-        known = {own: value for name, value in weights.items() for own in columns_of(name, table)}
-        return unseen(table, [table.places[name] for name in known],
-                      [table.places[name] for name in self.free if name not in known],
-                      np.array(list(known.values())))
+        return left_unseen(self.table, weights, self.free)
 
     def at_best(self, weights: dict[str, float], but: Iterable[str] = ()) -> dict[str, float]:
         """Return parameters with those of the oil, ``but`` some, at what fits best."""
@@ -250,8 +258,7 @@ class _Beside:
         the healthy and the present value, not in their difference.
         """
         c, forms = self.of[found.names[i]], self.one.form_of
-        alike = {other: self.part(c, other) for other in self.held if same_quantity(
-            self.of[other], c)}
+        alike = {other: self.part(c, other) for other in self.held if self.of[other].adds_to(c)}
         base = sum(share * self.held[other] for other, share in alike.items())
         form = float(np.linalg.norm([share * forms.get(other, 0.0)
                                      for other, share in alike.items()]))
@@ -262,7 +269,7 @@ class _Beside:
 
     def part(self, one: Candidate, other: str) -> float:
         """Return what one unit of another column of the same quantity is of it."""
-        return own_part(one.name, self.table, {other: 1.0}) if one.family == WEAR else 1.0
+        return own_part(one.name, self.table, {other: 1.0}) if one.family == DRY else 1.0
 
     def search(self) -> tuple[list[Moved], dict[str, float], bool, Moved | None, Moved | None]:
         """Return what has changed: one more term at a time, until none is far.
@@ -291,7 +298,7 @@ class _Beside:
             # do; which it is, what explains the recording; and whether it matters, what is named.
             # What is far and removes nothing is no physics: the balance's error says whether it
             # matters.
-            taken = {moved.candidate.name for moved in changes}
+            taken = {moved.candidate.quantity for moved in changes}
             amount, gone = self.gone(left, scatter, now, taken)
             shows = ties.largest(np.where(far > 1.0, gone, -np.inf))
             if not (far[shows] > 1.0 and gone[shows] > 0.0):
@@ -319,15 +326,13 @@ class _Beside:
             left, free_oil = (each.moved(i, step) for each in (left, free_oil))
         return changes, now, True, largest, None
 
-    def gone(self, left: Amplitudes, scatter: Scatter, now: dict[str, float], taken: set[str]
-             ) -> tuple[np.ndarray, np.ndarray]:
+    def gone(self, left: Amplitudes, scatter: Scatter, now: dict[str, float],
+             taken: set[tuple[str, str]]) -> tuple[np.ndarray, np.ndarray]:
         """Return by how much each term has moved and the squares that are gone with it, (k,)."""
         amount, gone = np.array([left.gone_with(self.oil, self.policy.varied, i, mean)
                                  for i, mean in enumerate(scatter.mean)]).T
         for i, name in enumerate(left.names):
-            told = any(same_quantity(self.of[a], self.of[b]) and same_quantity(
-                self.of[b], self.of[a]) for a, b in ((name, other) for other in taken))
-            if told or (name in self.signed and self.of[name].sign * (
+            if self.of[name].quantity in taken or (name in self.signed and self.of[name].sign * (
                     now.get(name, 0.0) + amount[i]) < 0.0):
                 gone[i] = -np.inf
         return amount, gone
@@ -436,16 +441,12 @@ def is_loud(error: float, usual: float, size: float, table: Table) -> bool:
     return error > ERROR * max(usual * max(size / table.size, 1.0), table.floor / table.size)
 
 
-def same_quantity(other: Candidate, one: Candidate) -> bool:
-    """Tell whether another column adds to what is told of one: it has the same number.
-
-    So do a drive's lags by the commanded and the measured speed; dry friction of any shape is a
-    force.
-    """
-    if one.family == WEAR and not one.upon:
-        return other.family == WEAR
-    return other.name == one.name or (
-        bool(one.symbol) and (other.effect, other.symbol) == (one.effect, one.symbol))
+def left_unseen(table: Table, weights: dict[str, float], free: Iterable[str]) -> float:
+    """Return the share of the signal that parameters leave on unseen parts beside free ones."""
+    known = {own: value for name, value in weights.items() for own in columns_of(name, table)}
+    return unseen(table, [table.places[name] for name in known],
+                  [table.places[name] for name in free if name not in known],
+                  np.array(list(known.values())))
 
 
 def columns_of(name: str, table: Table) -> list[str]:

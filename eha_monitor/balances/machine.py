@@ -20,7 +20,7 @@ from eha_monitor.balances.parameters import UNKNOWN, Stiffness, stiffness_of
 from eha_monitor.balances.policy import POLICY, Policy
 from eha_monitor.balances.scatter import Scatter, scatter_of
 from eha_monitor.balances.table import Table, nominal_of, tables_of
-from eha_monitor.balances.together import Chosen, Named, Recordings, pooled
+from eha_monitor.balances.together import Chosen, Named, Recordings, of_one_machine, pooled
 from eha_monitor.errors import InputError
 from eha_monitor.output import finite
 from eha_monitor.quantity import share
@@ -85,7 +85,6 @@ class MachineBalance:
     regimes : where the error lies.
     size : usual standard deviation of the balance, SI; ``floor`` what the sensors leave of it;
         ``effective`` independent samples in all recordings.
-    steps : (name, mean gain, t) as the terms entered.
     named : families of terms that are named; the rest corrects their form.
     scatter : by how much each term would move in one recording or another; ``beside`` the same
         where what goes with the oil is free within its spread.
@@ -108,7 +107,6 @@ class MachineBalance:
     size: float
     floor: float
     effective: float
-    steps: tuple[tuple[str, float, float], ...]
     named: tuple[Named, ...]
     scatter: Scatter
     beside: Scatter
@@ -159,6 +157,7 @@ class Machine:
     pieces : they are parts of fewer recordings.
     stiffness : of the oil, by least squares.
     areas : of the rig, m^2; None of a file that does not hold them.
+    through_one : its pump acts on chamber 1 whichever way it turns.
     """
 
     rig: str
@@ -171,9 +170,14 @@ class Machine:
     policy: Policy
     stiffness: Stiffness = UNKNOWN
     areas: tuple[float, float] | None = None
+    through_one: bool = False
 
     def __getitem__(self, balance: str) -> MachineBalance:
         return next(one for one in self.balances if one.balance == balance)
+
+    def moved(self, courses: Sequence[Course]) -> list[Course]:
+        """Return motions of it with the chamber that its pump acts on."""
+        return [replace(course, through_one=self.through_one) for course in courses]
 
     def to_dict(self) -> dict:
         """Return the JSON form, key ``machine``."""
@@ -194,6 +198,7 @@ class Machine:
             "load_varied": self.load_varied, "turns": self.scale.turns, "pieces": self.pieces,
             "odd": self.odd,
             "stiffness": self.stiffness, "areas": self.areas, "scale": self.scale,
+            "through_one": self.through_one,
             "policy": self.policy, "balances": self.balances})
 
 
@@ -219,7 +224,8 @@ def machine_of(recordings: Sequence[Recording], settings: Settings, vary: Sequen
     if len(recordings) < policy.fewest:
         raise InputError(f"expected at least {policy.fewest} recordings of one machine, got "
                          f"{len(recordings)}")
-    courses = [course_of(recording, settings) for recording in recordings]
+    courses = of_one_machine([course_of(recording, settings) for recording in recordings],
+                             settings.rig, policy)
     return machine_from(courses, settings.rig, vary, without, policy)
 
 
@@ -239,6 +245,7 @@ def healthy_machine(recordings: Sequence[Recording], settings: Settings,
     if not any(course.moving.any() for course in courses):
         raise InputError(f"{recordings[0].source}: expected a reference recording in which the "
                          "piston moves, found none")
+    courses = of_one_machine(courses, settings.rig, policy)
     if len(courses) >= policy.fewest:
         machine = machine_from(courses, settings.rig, (), (), policy)
         strange = {one.place for one in machine.odd}
@@ -292,7 +299,7 @@ def machine_from(courses: Sequence[Course], rig: Rig, vary: Sequence[str], witho
                     for i, one in enumerate(courses))
     return Machine(rig.name, sources, scale, bool(varied), pieces, tuple(found),
                    _odd(sources, found, policy), policy, stiffness_of(courses, rig),
-                   (rig.area_1, rig.area_2))
+                   (rig.area_1, rig.area_2), courses[0].through_one)
 
 
 def pressure_varied(courses: Sequence[Course], policy: Policy) -> bool:
@@ -360,7 +367,7 @@ def _balance(kind: str, courses: Sequence[Course], scale: Scale, rig: Rig,
         tuple(nominal_errors(kind, tables, rig).tolist()), tuple(chosen.errors.tolist()),
         tuple(after.tolist()), tuple(reference.tolist()), repeats, regimes(kind, courses, left),
         float(np.median(sizes)), float(np.median([table.floor for table in tables])),
-        float(sum(table.effective for table in tables)), chosen.steps,
+        float(sum(table.effective for table in tables)),
         chosen.named, *(scatter_of(
             tables, weights, [s.name for s in settings if s.name not in usual], allowed, policy,
             loose | oil, pieces) for oil in ({}, oil_of(parameters, of, policy))), refused,
@@ -423,7 +430,7 @@ def gated(recordings: Recordings, chosen: Chosen, kind: str, policy: Policy
     errors = recordings.errors(first)
     if rms(chosen.errors) <= rms(errors) + policy.worse:
         return chosen, ()
-    return Chosen(tuple(first), errors, (), ()), (Refused(
+    return Chosen(tuple(first), errors, ()), (Refused(
         "unseen_error", kind, f"least squares leave {share(rms(errors), 2)} of the "
         f"{kind} on recordings left out, what was chosen "
         f"{share(rms(chosen.errors), 2)}: their terms stand in its place"),)

@@ -29,7 +29,7 @@ from eha_monitor.balances.course import (
     course_of,
     slope,
 )
-from eha_monitor.balances.together import pooled
+from eha_monitor.balances.together import of_one_machine, pooled
 from eha_monitor.errors import InputError
 from eha_monitor.estimation.results import LOOK_S, ONE, TWO, Beside, ParameterEstimate
 from eha_monitor.estimation.rig_model import force_of
@@ -67,7 +67,8 @@ def parameters_of(recording: Recording, settings: Settings) -> dict[str, Paramet
         damping = _damping(course, settings) if "B" not in found else None
         if damping is not None:
             found["B"] = ONE.judged(settings, damping.value, damping.stddev)
-        soft = compressibility(course, settings.rig) if "beta_e" not in found else None
+        soft = compressibility(*of_one_machine([course], settings.rig), settings.rig
+                               ) if "beta_e" not in found else None
         if soft is not None:
             found["beta_e"] = TWO.judged(settings, 1.0 / soft.value, soft.stddev / soft.value**2)
         if "B" in found:
@@ -123,8 +124,8 @@ def compressibility(course: Course, rig: Rig) -> Term | None:
         return None
     flow, (pump, leakage, _) = columns
     leakage = (*leakage[:3], 0, leakage[4])  # beside the config's it may be less
-    stroke = course.known["stroke"]
-    flow = flow - course.known["flow"] - stroke / rig.bulk_modulus
+    stroke = course.added("stroke")
+    flow = flow - course.added("flow") - stroke / rig.bulk_modulus
     oil = stroke + course.of_filled(rig.volume_1 * course.rate_1,
                                      -rig.volume_2 * course.rate_2 / course.ratio)
     ways = [oil]

@@ -175,7 +175,7 @@ def tables_of(courses: Sequence[Course], rig: Rig, balance: str,
     found = []
     for course, row in zip(courses, columns, strict=True):
         whole = left_side(course, rig, balance)
-        known = course.wanted if balance == "drive" else course.known[balance]
+        known = course.wanted if balance == "drive" else course.added(balance)
         doubts = doubts_of(course, rig, balance, whole)
         rows = course.in_band(np.column_stack([whole, known, *doubts, *(row[i] for i in kept)]))
         good = course.compared(course.counted(balance))

@@ -7,27 +7,56 @@ products of recording i, weighted, and T its settings' columns,
 
 e_i is the RMS on i under w_-i, its settings fitted on every other pair of blocks and judged on
 the rest.  A term enters with the largest mean of d_i = ln(e_i / e_i with it), if that is
-``gain`` at least with a t of ``repeats``; then all terms are tried for removal by the same rule.
+``gain`` at least with a t of ``repeats``.
 """
 
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from eha_monitor.balances.candidates import founded
+from eha_monitor.balances.candidates import Scale, flow_candidates, founded
+from eha_monitor.balances.course import Course
 from eha_monitor.balances.least_squares import (
     independent,
     inverse_of,
     signed_solution,
     weights_of,
 )
-from eha_monitor.balances.policy import Policy
-from eha_monitor.balances.table import Table
+from eha_monitor.balances.policy import POLICY, Policy
+from eha_monitor.balances.table import Table, tables_of
+from eha_monitor.settings.rig import Rig
 
 SOFT = 1e-3  # of the other half's products, so that a half without motion leaves nothing open
 ALONE = 0.1  # of what all recordings know of a parameter, that the sum of each alone knows
 MOST_TERMS = 10  # a choice that has not ended by then is none
+
+
+PUMP = ("D_p", "dD_p", "C_h", "C_x", "L", "L_1")  # what tells which chamber a pump acts on
+
+
+def of_one_machine(courses: Sequence[Course], rig: Rig, policy: Policy = POLICY) -> list[Course]:
+    """Return motions of one machine with the chamber that its pump acts on.
+
+    Behind valves it fills either chamber of a single-rod cylinder in turn; beside an accumulator
+    it acts on chamber 1 whichever way it turns.  It is the latter where the flow balances leave
+    less with it on unseen parts, by what a name owes.
+    """
+    courses = list(courses)
+    if not all(course.has_flow and course.ratio != 1.0 for course in courses):
+        return courses
+    in_turn, through_one = ways = [[replace(course, through_one=one) for course in courses]
+                                   for one in (False, True)]
+    wanted = [one for one in flow_candidates(Scale.of(courses), rig) if one.name in PUMP]
+    errors = []
+    for way in ways:
+        tables = Recordings(tables_of(way, rig, "flow", wanted, policy), own_oil=True)
+        names = list(tables.candidates)
+        errors.append(tables.errors(names) if len(courses) > 1 else np.array(
+            [table.rms(table.crosswise(names)) for table in tables.tables]))
+    gain, t = tables.gain(*errors)
+    return through_one if (gain >= policy.gain and t >= policy.repeats if len(courses) > 1
+                           else gain >= policy.alone) else in_turn
 
 
 @dataclass(frozen=True)
@@ -51,13 +80,11 @@ class Chosen:
     ----------
     names : of all terms, those that every model has first.
     errors : (r,) of each recording left out, over its standard deviation.
-    steps : (name, mean gain, t) as they entered.
     named : families of terms that gain enough to be named.
     """
 
     names: tuple[str, ...]
     errors: np.ndarray
-    steps: tuple[tuple[str, float, float], ...]
     named: tuple[Named, ...]
 
 
@@ -176,11 +203,9 @@ class Recordings:
     def choose(self, policy: Policy, allowed: Iterable[str]) -> Chosen:
         """Choose the terms of the balance among those that are allowed."""
         names = [one.name for one in self.candidates.values() if one.always]
-        allowed, steps = [name for name in allowed if name not in names], []
+        allowed = [name for name in allowed if name not in names]
         errors = self.errors(names)
-        tried = set()
-        while len(names) < MOST_TERMS and tuple(sorted(names)) not in tried:
-            tried.add(tuple(sorted(names)))
+        while len(names) < MOST_TERMS:
             best = None
             for name in allowed:
                 if name in names or self._has_variant(name, names) or (
@@ -190,16 +215,11 @@ class Recordings:
                 mean, t = self.gain(errors, with_it)
                 if mean >= self.owed(name, policy) and t >= policy.repeats and (
                         best is None or mean > best[1]) and self._possible([*names, name]):
-                    best = name, mean, t, with_it
+                    best = name, mean, with_it
             if best is None:
                 break
-            names.append(best[0])
-            steps.append(best[:3])
-            errors = best[3]
-            names, errors = self._pruned(names, errors, policy)
-            names, errors = self._reshaped(names, errors, allowed)
-        return Chosen(tuple(names), errors, tuple(steps),
-                      self._named(names, errors, allowed, policy))
+            names, errors = self._reshaped([*names, best[0]], best[2], allowed)
+        return Chosen(tuple(names), errors, self._named(names, errors, allowed, policy))
 
     def _named(self, names: list[str], errors: np.ndarray, allowed: list[str], policy: Policy
                ) -> tuple[Named, ...]:
@@ -240,24 +260,6 @@ class Recordings:
         shared, _, _ = self.split(names)
         reach = np.max([table.reach[shared] for table in self.tables], axis=0)
         return bool((np.abs(w) <= reach).all())
-
-    def _pruned(self, names: list[str], errors: np.ndarray, policy: Policy
-                ) -> tuple[list[str], np.ndarray]:
-        """Take out terms that no longer gain what a name owes, the least useful first."""
-        while True:
-            worst = None
-            for name in names:
-                if self.candidates[name].always:
-                    continue
-                rest = founded([other for other in names if other != name], self.candidates)
-                without_it = self.errors(rest)
-                mean, t = self.gain(without_it, errors)
-                if (mean < self.owed(name, policy) or t < policy.repeats) and (
-                        worst is None or mean < worst[0]):
-                    worst = mean, rest, without_it
-            if worst is None:
-                return names, errors
-            names, errors = worst[1:]
 
     def _reshaped(self, names: list[str], errors: np.ndarray, allowed: list[str]
                   ) -> tuple[list[str], np.ndarray]:
