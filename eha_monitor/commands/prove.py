@@ -79,7 +79,7 @@ def summary(found: dict) -> str:
     lines = []
     for name, (words, aim, _, _) in MARKS.items():
         value = found["score"].get(name)
-        shown = "-" if value is None else f"{value:.1%}"
+        shown = "-" if value is None else f"{100 * value:.1f} %"
         lines.append(f"  {shown:>7}  {words}" + (f" (aim: {aim})" if aim else ""))
     return "\n".join(lines)
 

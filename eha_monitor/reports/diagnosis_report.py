@@ -54,7 +54,7 @@ def diagnosis_page(found: Diagnosis, settings: Settings, losses: Sequence[str] =
     return render(
         "diagnosis.html.j2", plus_minus=DIAGNOSED, title=f"EHA diagnosis: {name}", name=name,
         first=_first_screen(found, curves, settings), facts=_facts(found, settings), losses=losses,
-        verdict=found.verdict, references=len(found.references), compared=_compared(found),
+        verdict=found.verdict, references=len(found.references), compared=words.compared(found),
         indicators=indicator_table(indicators, settings), laws=law_table(indicators),
         changes=_changes(found), pieces=_pieces(found), machine=_machine(found),
         wrong=_rig_table(found.rig_data, settings.rig.tolerance),
@@ -75,17 +75,6 @@ def diagnosis_page(found: Diagnosis, settings: Settings, losses: Sequence[str] =
         rotary=settings.rig.motion == "rotary")
 
 
-def _compared(found: Diagnosis) -> bool:
-    """Whether there is a model after the one of the config."""
-    return bool(found.effects or found.rig_data or found.rig_within or found.pieces
-                or found.learned or found.references)
-
-
-def _names(found: Diagnosis) -> tuple[str, str]:
-    """Return what the two models are called, as on the terminal."""
-    return ("healthy", "now") if found.references else ("before", "after")
-
-
 # ---- the first screen -----------------------------------------------------------------------
 
 def _first_screen(found: Diagnosis, curves: list[diagnosis.Curve], settings: Settings
@@ -98,8 +87,8 @@ def _first_screen(found: Diagnosis, curves: list[diagnosis.Curve], settings: Set
     elif curves:
         picture = figures.curve_figure(found, curves[0], large=True)
         caption = _curve_note(found, curves[0])
-    shown = (found.before, found.after) if _compared(found) else (found.before,)
-    heads = ("parameter", *(_names(found) if _compared(found) else ("model of the config",)))
+    shown = (found.before, found.after) if words.compared(found) else (found.before,)
+    heads = ("parameter", *(words.model_names(found) if words.compared(found) else ("model of the config",)))
     parameters = table(" | ".join(heads), [
         (_symbol(name), *words.parameter_words(found, name)[:len(shown)])
         for name in dict.fromkeys((*found.before, *found.after))],
@@ -112,7 +101,8 @@ def _first_screen(found: Diagnosis, curves: list[diagnosis.Curve], settings: Set
         tuple((words.rig_words(one), (one.indistinguishable_from
                and f"{words.recordings_words(found)} {one.key} is indistinguishable from "
                    f"{_rivals(one.indistinguishable_from)}.") or "") for one in found.rig_data),
-        picture, caption, parameters or None, tuple(map(words.sentence, found.health)),
+        picture, caption, parameters or None,
+        tuple(map(words.sentence, (*words.off_words(found), *found.health))),
         words.next_steps(found, shlex.join(found.bags) + words.own_config(settings.rig)),
         found.verdict, tuple(map(words.sentence, words.channels_in_parts(found)[0])))
 
@@ -273,32 +263,25 @@ def _location(found: Diagnosis) -> dict[str, Any] | None:
     return {"bars": [(words.BALANCES.get(name, name), words.percent(share),
                       round(100 * min(max(share, 0.0), 1.0), 2))
                      for name, share in sorted(shares.items(), key=lambda item: -item[1])],
-            "regime": words.REGIMES.get(found.location.regime,
-                                        found.location.regime.replace("_", " ")),
-            "timeline": interval_timeline("worst", found.location.intervals_s, found.duration_s),
-            "intervals": words.interval_words(found.location.intervals_s)}
+            "regime": words.regime_words(found),
+            "timeline": interval_timeline("worst", found.location.intervals_s, found.duration_s)
+            if words.worst_words(found) else None,
+            "intervals": words.worst_words(found)}
 
 
 def _fit(found: Diagnosis) -> Table:
     """Return the errors on unseen data."""
-    first, second = _names(found)
-    rows = []
-    for name, fit in found.signals.items():
-        before, after, noise = (words.error_words(value, fit) for value in (
-            fit.before_rms, fit.after_rms, fit.noise_rms))
-        compared = (after, noise, words.removed_words(fit))
-        rows.append((name.replace("_", " "), before,
-                     *(compared if _compared(found) else (noise,))))
-    head = ((f"error on unseen data | {first} | {second} | noise | removed",
-             "number | value | value | number | number") if _compared(found)
-            else ("error on unseen data | model | noise", "number | value | number"))
-    return table(head[0], rows, head[1], "errors", "Root mean square." + (
-        " Removed: of what exceeds the sensor noise." if _compared(found) else ""))
+    heads, rows = words.fit_rows(found)
+    kinds = ("number", "value", "value", "number", "number")
+    return table(" | ".join(heads), rows, " | ".join(
+        kinds if words.compared(found) else ("number", "value", "number")), "errors",
+        "Root mean square." + (" Removed: of what exceeds the sensor noise."
+                               if words.compared(found) else ""))
 
 
 def _overlays(found: Diagnosis) -> list:
     names = ("healthy model", "model now") if found.references else ("model before", "model after")
-    made = [figures.overlay_figure(overlay, _compared(found), names) for overlay in found.overlays]
+    made = [figures.overlay_figure(overlay, words.compared(found), names) for overlay in found.overlays]
     return [one for one in made if one is not None]
 
 
@@ -314,7 +297,7 @@ def _evidence(found: Diagnosis) -> Table:
 
 def _memory_table(found: Diagnosis) -> Table:
     """Return how far the one-step errors are from white."""
-    first, second = _names(found)
+    first, second = words.model_names(found)
     return table(f"memory of the one-step errors | {first} | {second}", [
         (name.replace("_", " "), _memory(fit.before_whiteness), _memory(fit.after_whiteness))
         for name, fit in found.signals.items()], " | number | number",

@@ -302,13 +302,17 @@ class _Motion:
         return base + ("", "/s", "/s²")[order]
 
     def estimated(self, attribute: str) -> list[_Signal]:
-        """Return the states of both stages that have data; nothing where the data have a gap."""
+        """Return the states of both stages that have data; nothing where the data have a gap.
+
+        A stage that diverged has no motion to compare with.
+        """
         gap = traces.in_gap(self.estimate.recording.get("x"))
         stages = ((self.estimate.stage_one, "stage one", fig.STAGE_ONE, "solid"),
                   (self.estimate.stage_two, "stage two", fig.STAGE_TWO, "dash"))
         found = [_Signal(label, np.where(gap, np.nan, getattr(stage, attribute)), colour, 1.5,
                          dash, True) for stage, label, colour, dash in stages
-                 if len(getattr(stage, attribute)) == len(self.estimate.recording)]
+                 if len(getattr(stage, attribute)) == len(self.estimate.recording)
+                 and stage.estimate.status != "diverged"]
         return [one for one in found if one.drawable]
 
     def pictures(self, signals: list[_Signal], residuals: list[_Signal], name: str, unit: str

@@ -208,11 +208,11 @@ def estimate_page(estimate: Estimate, alarms: tuple[Alarm, ...], history: tuple[
         convergence=[figures.parameter_block(estimate, name) for name in ("B", "beta_e")],
         innovations=[figures.innovation_block(estimate, estimate.stage_one),
                      figures.innovation_block(estimate, estimate.stage_two)],
-        timeline=alarm_timeline(alarms, history, estimate.events, recording.duration),
+        timeline=alarm_timeline(alarms, history, estimate.told, recording.duration),
         alarms=_alarm_table(alarms, "alarms"), history=_alarm_table(history, "history"),
         events=table("no. | time | stage | event", [
             (i, _seconds(one.time_s), one.stage, one.message)
-            for i, one in enumerate(estimate.events, 1)], " | number |  | message", "events"),
+            for i, one in enumerate(estimate.told, 1)], " | number |  | message", "events"),
         joint=estimate.joint and _joint_table(estimate.joint),
         joint_message=estimate.joint.message if estimate.joint else "",
         correlation=estimate.joint and _correlation_table(estimate.joint),
