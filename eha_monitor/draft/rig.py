@@ -94,7 +94,8 @@ def rig_entries(answers: Answers, seen: Seen, rotary: bool, name: str) -> list[E
         _told(answers, "pump_displacement", "of the pump", "1.6 cm^3/rev", seen_pump(
             answers, area_1, seen)),
         _gain(answers, seen),
-        _told(answers, "leakage", "of all paths together, in m³/(s·Pa); affects βe in slow motion", "5e-13"),
+        _told(answers, "leakage", "m³/(s·Pa), all paths together; affects βe in slow motion",
+              "5e-13"),
         _makeup(answers), _charge(answers, seen, area_1, area_2),
         Entry("sample_time", number(seen.sample_time), "values: the usual step of the time")
         if "sample_time" not in given else _answered(answers, "sample_time"),

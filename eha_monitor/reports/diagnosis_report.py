@@ -87,8 +87,9 @@ def _first_screen(found: Diagnosis, curves: list[diagnosis.Curve], settings: Set
     elif curves:
         picture = figures.curve_figure(found, curves[0], large=True)
         caption = _curve_note(found, curves[0])
-    shown = (found.before, found.after) if words.compared(found) else (found.before,)
-    heads = ("parameter", *(words.model_names(found) if words.compared(found) else ("model of the config",)))
+    both = words.compared(found)
+    shown = (found.before, found.after) if both else (found.before,)
+    heads = ("parameter", *(words.model_names(found) if both else ("model of the config",)))
     parameters = table(" | ".join(heads), [
         (_symbol(name), *words.parameter_words(found, name)[:len(shown)])
         for name in dict.fromkeys((*found.before, *found.after))],
@@ -281,7 +282,8 @@ def _fit(found: Diagnosis) -> Table:
 
 def _overlays(found: Diagnosis) -> list:
     names = ("healthy model", "model now") if found.references else ("model before", "model after")
-    made = [figures.overlay_figure(overlay, words.compared(found), names) for overlay in found.overlays]
+    made = [figures.overlay_figure(overlay, words.compared(found), names)
+            for overlay in found.overlays]
     return [one for one in made if one is not None]
 
 

@@ -151,8 +151,8 @@ def off_words(found: Diagnosis) -> tuple[str, ...]:
     fit = found.signals.get(balance)
     if not nameless(found) or fit is None or not math.isfinite(fit.before_rms):
         return ()
-    return (f"the {balance} is off by {error_words(fit.before_rms, fit)} on unseen data (root mean "
-            f"square), where the sensors' noise makes {error_words(fit.noise_rms, fit)}",)
+    return (f"the {balance} is off by {error_words(fit.before_rms, fit)} on unseen data (root "
+            f"mean square), where the sensors' noise makes {error_words(fit.noise_rms, fit)}",)
 
 
 # Parameter, and whether it is too high or has grown -> what to look for at the machine.
