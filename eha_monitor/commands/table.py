@@ -20,7 +20,7 @@ from eha_monitor.plausibility.sheet import against_sheet, load_against
 from eha_monitor.quantity import DIAGNOSED, NOTE, SYMBOLS, number
 from eha_monitor.reports import diagnosis_words as words
 from eha_monitor.settings import Settings
-from eha_monitor.words import effect_words, listed, probability
+from eha_monitor.words import listed, probability
 
 COLOURS = {"OK": "green", "WARN": "yellow", "ERROR": "red", "STALE": "dim", NOT_JUDGED: "cyan",
            "converged": "green", "not_excited": "yellow", "diverged": "red", "no_data": "dim",
@@ -195,7 +195,7 @@ def show_diagnosis(found: Diagnosis, written: list[Path], notes: list[str] = (),
         if finding.indistinguishable_from:
             to.print(escape(f"  {words.recordings_words(found).lower()} {finding.key} is "
                                  "indistinguishable from "
-                                 f"{_rivals(finding.indistinguishable_from)}"))
+                                 f"{words.rivals(finding.indistinguishable_from)}"))
     to.print(f"[bold {_COLOURS[kind]}]{escape(words.head_words(found))}[/]: "
                   f"{escape(words.message_words(found))}".rstrip(": "))
     for gate in found.gates:
@@ -254,17 +254,14 @@ def _effects(found: Diagnosis) -> Table:
                       escape(effect.size),
                       escape("\n".join(f"{name} = {words.value_words(value)}"
                                        for name, value in effect.parameters.items())),
-                      escape(_rivals(effect.indistinguishable_from)) or "–")
+                      escape(words.rivals(effect.indistinguishable_from)) or "–")
     return shown
 
 
 def _changes(found: Diagnosis) -> Table:
     shown = table("changed", "healthy", "now", "indistinguishable from")
-    for change in found.changes:
-        name = f"{effect_words(change.what)} {change.symbol}" if change.symbol else SYMBOLS.get(
-            change.what, change.what)
-        shown.add_row(name, *words.pair_words(change.reference, change.now),
-                      escape(_rivals(change.indistinguishable_from)) or "–")
+    for row in words.change_rows(found):
+        shown.add_row(*map(escape, row))
     return shown
 
 
@@ -278,10 +275,6 @@ def _learned(found: Diagnosis) -> Table:
                       escape("\n".join([term.formula or "none fits as well as the curve",
                                          *rivals])))
     return shown
-
-
-def _rivals(names: tuple[str, ...]) -> str:
-    return listed([effect_words(name) for name in names], "or")
 
 
 def _parameters(found: Diagnosis) -> Table:

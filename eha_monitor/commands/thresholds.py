@@ -58,11 +58,14 @@ def thresholds(bags: tuple[Path, ...], config: Path | None, rate: float, least: 
     compare = shlex.join(["eha-monitor", "diagnose", "NOW", "--reference", *map(str, bags),
                           "--config", "DRAFT.yaml"])
     if not any(healthy.values()):
+        if remedy:
+            told.append(f"`{remedy[0]}` finds what the model lacks")
+        elif unfit:
+            told.append(f"`{compare}` compares the next recording (NOW) with these without "
+                        "limits, by the config that init drafted")
         raise InputError("; ".join([
-            f"{_all_of(bags)}: expected at least one recording in which B or βe converges", *told,
-            f"`{remedy[0]}` finds what the model lacks" if remedy else
-            f"without limits, `{compare}` compares the next recording (NOW) with these, by the "
-            "config that init drafted"]))
+            f"{_all_of(bags)}: expected at least one recording in which B or βe converges",
+            *told]))
     proposals = [proposed(symbol, found, rate, least)
                  for symbol, found in healthy.items() if found]
     if unfit:

@@ -16,9 +16,8 @@ from eha_monitor.mismatch.diagnosis import (
 )
 from eha_monitor.quantity import SYMBOLS
 from eha_monitor.reports import figure as fig
-from eha_monitor.reports.estimate_figures import NAMES
 from eha_monitor.reports.traces import LARGEST, robust_range, tamed
-from eha_monitor.words import effect_words, listed
+from eha_monitor.words import PARAMETER_WORDS, effect_words, listed
 
 # What is measured is dark grey, the model before orange, the model after blue.
 SEEN, BEFORE, AFTER, _FAINT = "#5b6873", fig.STAGE_TWO, fig.STAGE_ONE, "#b4bcc4"
@@ -231,7 +230,7 @@ def agreement_figure(name: str, parts: tuple[Agreement, ...], before: Value | No
     scale = fig.axis_scale(max(map(abs, ends)), known[0].unit)
     low, high = min(ends), max(ends)
     margin = 0.06 * (high - low) or 0.1 * abs(high) or 1.0
-    words = f"{NAMES.get(name, name)} {SYMBOLS.get(name, name)}"
+    words = f"{PARAMETER_WORDS.get(name, name)} {SYMBOLS.get(name, name)}"
     panel = fig.Panel(fig.Side(words, scale, limits=(low - margin, high + margin)),
                       fig.Side(rows=tuple(row[0] for row in rows)))
     if _drawable(after):
@@ -247,8 +246,8 @@ def agreement_figure(name: str, parts: tuple[Agreement, ...], before: Value | No
                 at, np.array([place for _, place in mine]), f"{label}, ± 1σ",
                 colour, 0.0, marker=marker, size=7.5, error_width=2.0, cap=3.0,
                 x_error=np.maximum([at - reach[0], reach[1] - at], 0.0)))
-    return fig.Figure((panel,), f"{NAMES.get(name, name)} from each part of the record, before "
-                                "and after modelling", size=(LARGE[0], 110 + 44 * len(rows)))
+    return fig.Figure((panel,), f"{PARAMETER_WORDS.get(name, name)} from each part of the record, "
+                      "before and after modelling", size=(LARGE[0], 110 + 44 * len(rows)))
 
 
 def _drawable(value: Value | None) -> bool:

@@ -16,7 +16,6 @@ from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.quantity import DIAGNOSED, SYMBOLS, number, quantity
 from eha_monitor.reports import diagnosis_figures as figures
 from eha_monitor.reports import diagnosis_words as words
-from eha_monitor.reports.estimate_figures import NAMES
 from eha_monitor.reports.figure import Block
 from eha_monitor.reports.page import (
     FirstScreen,
@@ -31,7 +30,7 @@ from eha_monitor.reports.timeline import interval_timeline
 from eha_monitor.settings.monitor import Settings
 from eha_monitor.settings.own_terms import is_own
 from eha_monitor.settings.rig import Tolerance, corrected
-from eha_monitor.words import effect_words, listed
+from eha_monitor.words import PARAMETER_WORDS, effect_words, listed
 from eha_monitor.words import probability as probability_words
 
 _MOST_CURVES = 6
@@ -97,11 +96,12 @@ def _first_screen(found: Diagnosis, curves: list[diagnosis.Curve], settings: Set
     return FirstScreen(
         words.head_of(found)[0], words.head_words(found), words.message_words(found, True),
         tuple(f"{words.recordings_words(found)} {effect_words(effect.name)} is indistinguishable "
-              f"from {_rivals(effect.indistinguishable_from)}." for effect in found.effects
+              f"from {words.rivals(effect.indistinguishable_from)}." for effect in found.effects
               if effect.indistinguishable_from),
         tuple((words.rig_words(one), (one.indistinguishable_from
                and f"{words.recordings_words(found)} {one.key} is indistinguishable from "
-                   f"{_rivals(one.indistinguishable_from)}.") or "") for one in found.rig_data),
+                   f"{words.rivals(one.indistinguishable_from)}.") or "")
+              for one in found.rig_data),
         picture, caption, parameters or None,
         tuple(map(words.sentence, (*words.off_words(found), *found.health))),
         words.next_steps(found, shlex.join(found.bags) + words.own_config(settings.rig)),
@@ -109,7 +109,7 @@ def _first_screen(found: Diagnosis, curves: list[diagnosis.Curve], settings: Set
 
 
 def _symbol(name: str) -> str:
-    return f"{NAMES.get(name, name)} {SYMBOLS.get(name, name)}"
+    return f"{PARAMETER_WORDS.get(name, name)} {SYMBOLS.get(name, name)}"
 
 
 def _curve_note(found: Diagnosis, curve: diagnosis.Curve) -> str:
@@ -151,13 +151,8 @@ def _facts(found: Diagnosis, settings: Settings) -> list[tuple[str, str]]:
 
 def _changes(found: Diagnosis) -> Table:
     """Return what has changed against healthy recordings."""
-    rows = []
-    for one in found.changes:
-        name = (f"{effect_words(one.what)} {one.symbol}" if one.symbol
-                else f"{NAMES.get(one.what, one.what)} {SYMBOLS.get(one.what, '')}").strip()
-        rows.append((name, *words.pair_words(one.reference, one.now),
-                     _rivals(one.indistinguishable_from) or "–"))
-    return table("number | healthy | now | indistinguishable from", rows, " | value | value | ",
+    return table("number | healthy | now | indistinguishable from", words.change_rows(found),
+                 " | value | value | ",
                  note=f"Healthy: mean of {len(found.references)} recordings, ± their standard "
                       "deviation from one to the next. Now: this recording, ± its uncertainty "
                       "due to noise.")
@@ -211,7 +206,7 @@ def _rig_table(findings: Sequence[diagnosis.RigFinding], tolerance: Tolerance, k
         row = [one.key, configured, words.tolerance_words(tolerance, one.key), said]
         if wrong:
             row += [words.beyond_words(tolerance, one), probability_words(one.probability),
-                    _rivals(one.indistinguishable_from) or "–"]
+                    words.rivals(one.indistinguishable_from) or "–"]
         rows.append(row)
     return table("number | config | its tolerance | recording"
                  + (" | off by | probability | indistinguishable from" if wrong else ""), rows,
@@ -240,7 +235,7 @@ def _effect(effect: diagnosis.NamedEffect, duration_s: float) -> dict[str, Any]:
     probability = probability_words(effect.probability)
     balance = words.BALANCES.get(effect.balance, effect.balance)
     facts = [("probability", probability if probability != "—" else ""),
-             ("indistinguishable from", _rivals(effect.indistinguishable_from)
+             ("indistinguishable from", words.rivals(effect.indistinguishable_from)
               or "none of the alternatives that were compared"),
              ("check at the rig", words.sentence(effect.rig_check)),
              ("equation", effect.equation and effect.equation + source)]
@@ -368,10 +363,6 @@ def _agreement(found: Diagnosis) -> Block | None:
         notes.append(f"{SYMBOLS.get(name, name)} from the parts: {spans[0]} before, "
                      f"{spans[1]} after.")
     return Block("agreement", "", tuple(pictures), tuple(notes)) if pictures else None
-
-
-def _rivals(names: tuple[str, ...]) -> str:
-    return listed([effect_words(name) for name in names], "or")
 
 
 # ---- the config -----------------------------------------------------------------------------

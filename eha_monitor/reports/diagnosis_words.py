@@ -19,7 +19,7 @@ from eha_monitor.quantity import (
 from eha_monitor.settings.channels import CHANNELS
 from eha_monitor.settings.rig import Rig, Tolerance
 from eha_monitor.units import LARGEST
-from eha_monitor.words import listed, probability
+from eha_monitor.words import PARAMETER_WORDS, effect_words, listed, probability
 
 # Verdict -> (colour, first words).
 VERDICTS = {
@@ -169,6 +169,19 @@ def _look_for(change: Change) -> str:
     if change.what in CATALOGUE:
         return CATALOGUE[change.what].rig_check
     return LOOK_FOR.get((change.what, change.now.value > change.reference.value), "")
+
+
+def rivals(names: tuple[str, ...]) -> str:
+    """Return what something is indistinguishable from; empty without any."""
+    return listed([effect_words(name) for name in names], "or")
+
+
+def change_rows(found: Diagnosis) -> list[tuple[str, str, str, str]]:
+    """Return what has changed: name, healthy, now, and what it is indistinguishable from."""
+    return [(f"{effect_words(one.what)} {one.symbol}" if one.symbol else
+             f"{PARAMETER_WORDS.get(one.what, effect_words(one.what))} {SYMBOLS.get(one.what, '')}"
+             .strip(), *pair_words(one.reference, one.now),
+             rivals(one.indistinguishable_from) or "–") for one in found.changes]
 
 
 def parameter_words(found: Diagnosis, name: str) -> tuple[str, str]:
