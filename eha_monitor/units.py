@@ -15,6 +15,7 @@ _PINT = {"1": "dimensionless", "N·s/m": "N*s/m", "m³": "m**3", "m²": "m**2",
 TURNING = {"m": "rad", "m²": "m³/rad", "kg": "kg·m²", "N·s/m": "N·m·s/rad",
            "rad/(s·m)": "1/s", "N/m": "N·m/rad"}
 
+_COMMA = re.compile(r"\d,\d")
 _REV = re.compile(r"(?<=/)\s*rev\b")  # as pumps are sold: 1.6 cm^3/rev
 
 # A number and a unit that says what it is counted from.
@@ -42,6 +43,9 @@ def to_si(value: Any, unit: str, absolute: bool = False) -> Any:
                                   f"expected at most {LARGEST:g} in {unit}, got {value!r}")
     if not isinstance(value, str):
         return value
+    if _COMMA.search(value):  # pint drops it: 85,5 would be 855
+        raise PydanticCustomError(
+            "comma", f"expected a decimal point, such as '85.5 {unit}'")
     import pint  # slow to import, and needed only where a config writes units
 
     registry = pint.get_application_registry()

@@ -2,6 +2,8 @@
 
 import math
 
+PARAMETER_WORDS = {"B": "viscous damping", "beta_e": "effective bulk modulus", "L": "leakage"}
+
 
 def effect_words(name: str) -> str:
     """Return the name of an effect as people say it: ``Coulomb friction``."""

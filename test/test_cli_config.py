@@ -40,6 +40,18 @@ def sections(model: type[BaseModel]):
                 yield from sections(found)
 
 
+@pytest.mark.parametrize(("text", "words"), [
+    ("rig: {mass: '85,5 kg'}", "rig.mass: expected a decimal point, such as '85.5 kg', got "
+                               "'85,5 kg'"),  # pint would read 855
+    ("", "expected a config, found none of its sections"),  # cut while it was written
+    ("# nothing but a remark\n", "expected a config, found none of its sections")])
+def test_what_a_person_did_not_mean_is_refused(text, words, tmp_path, capsys):
+    file = tmp_path / "mine.yaml"
+    file.write_text(text)
+    assert main(["estimate", str(ROOT / "bags" / "air_ingress"), "--config", str(file)]) == 2
+    assert capsys.readouterr().err.strip() == f"eha_monitor: {file}: {words}"
+
+
 def test_every_key_stands_in_the_file_with_its_description():
     text = " ".join(FILE.read_text(encoding="utf-8").replace("#", " ").split())
     for section in sections(Settings):

@@ -43,7 +43,6 @@ def test_what_does_nothing_is_not_offered(capsys):
      "is the config that is read"),
     ([BAG, "--config", "missing.yaml"], "missing.yaml: cannot read config"),
     ([BAG, "--ros-args", "-r", "a:=b"], "is no ROS node"),
-    (["--no-calibration", "missing_bag"], "missing_bag: no such bag"),  # it does nothing any more
 ])
 def test_bad_usage_is_one_line_before_any_work(capsys, arguments, words):
     assert words in refused(capsys, "diagnose", *arguments)

@@ -30,14 +30,17 @@ from eha_monitor.reports.diagnosis_figures import curve_figure, informative
 from eha_monitor.reports.diagnosis_report import diagnosis_page
 from eha_monitor.reports.diagnosis_words import (
     error_words,
+    fit_rows,
     head_words,
     message_words,
     next_steps,
     pair_words,
+    parameter_words,
     removed,
     removed_words,
     sentence,
     windows_words,
+    worst_words,
 )
 from eha_monitor.settings import Settings, load_settings, settings_from_tree
 from eha_monitor.words import probability
@@ -91,6 +94,49 @@ def test_a_change_has_one_voice():
     assert "spring balance" in next_steps(replace(found, changes=(dry,)), "now")[0]
     line = curve_figure(found, informative(found)[0]).panels[0]
     assert any(getattr(one, "label", "") == "modelled: what has changed" for one in line.shown)
+
+
+def test_what_nobody_knows_is_told_with_its_size_and_where_to_look():
+    rest = replace(ALL["unexplained"](), signals={"force": SignalFit("N", 38.0, 38.0, 0.4)})
+    page = Page(page_of(rest)).text
+    assert "The force is off by 38 N on unseen data" in page and "noise makes 0.4 N" in page
+    first, *others = next_steps(rest, "now --config CONFIG")
+    assert first == "Do not act on B and βe: what is missing is in them."
+    assert others[0].startswith("Look at the load, the stops, the guides and seals")
+    assert "`eha-monitor diagnose now --config CONFIG --reference HEALTHY ...`" in others[1]
+    assert not set(map(sentence, rest.advice)) & set(others), "how to separate what has no name"
+    assert parameter_words(rest, "B")[0].startswith("(") and "in doubt" in page
+    assert [cells[0] for cells in fit_rows(rest)[1]] == ["force"]
+    assert fit_rows(rest)[0] == ("error on unseen data", "model", "noise")
+
+
+def test_what_begins_in_the_middle_is_shown_against_time_where_nothing_is_named():
+    t, noise = np.linspace(0.0, 40.0, 400), np.random.default_rng(0).normal(0.0, 1.0, 400)
+    nan = np.full(400, np.nan)
+    late = Curve("force", "time", "s", "N", t, 30.0 * (t > 18.0) + noise, nan, nan)
+    x = np.linspace(-0.1, 0.1, 20)
+    spread = Curve("force", "velocity", "m/s", "N", x, 15.0 + 5.0 * np.sin(40.0 * x),
+                   np.full(20, 15.0), np.full(20, np.nan))
+    rest = replace(ALL["unexplained"](), curves=(spread, late))
+    assert informative(rest)[0].against == "time"
+    steady = replace(late, measured=noise)
+    assert informative(replace(rest, curves=(steady, spread)))[0].against == "velocity"
+
+
+def test_the_first_picture_is_of_the_balance_that_lacks_most():
+    found = ALL["pair"]()
+    drive = replace(found.effects[1], balance="drive")
+    first, *_ = informative(replace(found, effects=(drive, found.effects[0]), location=Location(
+        {"force": 0.8, "drive": 0.2}, "always", ())))
+    assert first.balance == "force"
+
+
+def test_times_that_are_the_whole_recording_are_not_said():
+    found = coulomb()
+    whole = Location(found.location.balance, "always", ((0.0, found.duration_s),))
+    assert worst_words(replace(found, location=whole)) == ""
+    part = replace(whole, intervals_s=((2.0, 3.5),))
+    assert worst_words(replace(found, location=part)) == "2.0–3.5 s"
 
 
 def test_sections_follow_what_is_there(html):

@@ -36,8 +36,6 @@ from eha_monitor.output import write_json, write_text
 @click.option("--machine", "machine_file", type=common.FILE, metavar="FILE",
               help="With several BAGs: write the machine that they show. With one: judge it "
                    "against that machine, in a fraction of a second (docs/one_machine.md).")
-@click.option("--calibration/--no-calibration", hidden=True, expose_value=False,
-              help="No effect; kept for compatibility.")
 @click.option("--exit-code", is_flag=True,
               help="Exit with 1 if the model does not fit the recording.")
 @common.archive_options

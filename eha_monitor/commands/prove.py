@@ -35,8 +35,6 @@ from eha_monitor.output import write_text
                    "achievable result and the available evidence (takes half as long again).")
 @click.option("--jobs", type=click.IntRange(1, 1024), default=None,
               help="Processes at a time; all cores by default.")
-@click.option("--calibration/--no-calibration", hidden=True, expose_value=False,
-              help="No effect, as in diagnose.")
 def prove(config: Path | None, cases: int, seed: int, json_file: Path | None,
           report_file: Path | None, draw: str, rig: str, work: Path | None, keep: str,
           oracle: bool, jobs: int | None) -> int:
@@ -79,7 +77,7 @@ def summary(found: dict) -> str:
     lines = []
     for name, (words, aim, _, _) in MARKS.items():
         value = found["score"].get(name)
-        shown = "-" if value is None else f"{value:.1%}"
+        shown = "-" if value is None else f"{100 * value:.1f} %"
         lines.append(f"  {shown:>7}  {words}" + (f" (aim: {aim})" if aim else ""))
     return "\n".join(lines)
 

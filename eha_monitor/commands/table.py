@@ -1,6 +1,7 @@
 """What the commands print on a terminal: the answers of ``estimate`` and ``diagnose``."""
 
 import math
+import shlex
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -19,7 +20,7 @@ from eha_monitor.plausibility.sheet import against_sheet, load_against
 from eha_monitor.quantity import DIAGNOSED, NOTE, SYMBOLS, number
 from eha_monitor.reports import diagnosis_words as words
 from eha_monitor.settings import Settings
-from eha_monitor.words import effect_words, listed, probability
+from eha_monitor.words import listed, probability
 
 COLOURS = {"OK": "green", "WARN": "yellow", "ERROR": "red", "STALE": "dim", NOT_JUDGED: "cyan",
            "converged": "green", "not_excited": "yellow", "diverged": "red", "no_data": "dim",
@@ -99,15 +100,7 @@ def show(found: Estimate, alarms: tuple[Alarm, ...], written: list[Path],
     for title, sentences in (("lost", recording.losses), ("note", found.warnings)):
         for sentence in sentences:
             to.print(f"[yellow]{title}[/]: {escape(sentence)}")
-    converged = {stage.stage for stage in (found.stage_one, found.stage_two)
-                 if stage.estimate.status == "converged"}
-    doubtful = {stage for stage, name in (("one", "B"), ("two", "beta_e"))
-                if name in found.model.tainted}
-    for event in found.events:
-        if " converged at " in event.message and event.stage not in converged:
-            continue  # it has not stayed so
-        if " changed from " in event.message and doubtful & {event.stage}:
-            continue  # it follows the model's error, not the machine
+    for event in found.told:
         to.print(f"{event.time_s:8.2f} s  stage {event.stage}: {escape(event.message)}")
     known = any(math.isfinite(p.value) for p in found.parameters.values())
     print_end(to, NOTE if known else "", written)
@@ -202,7 +195,7 @@ def show_diagnosis(found: Diagnosis, written: list[Path], notes: list[str] = (),
         if finding.indistinguishable_from:
             to.print(escape(f"  {words.recordings_words(found).lower()} {finding.key} is "
                                  "indistinguishable from "
-                                 f"{_rivals(finding.indistinguishable_from)}"))
+                                 f"{words.rivals(finding.indistinguishable_from)}"))
     to.print(f"[bold {_COLOURS[kind]}]{escape(words.head_words(found))}[/]: "
                   f"{escape(words.message_words(found))}".rstrip(": "))
     for gate in found.gates:
@@ -233,7 +226,11 @@ def show_diagnosis(found: Diagnosis, written: list[Path], notes: list[str] = (),
             to.print(f"[yellow]config[/]: {escape(line)}")
     for finding in found.rig_within:
         to.print(f"[yellow]rig data[/]: {escape(finding.statement)}")
-    for title, sentences in (("health", found.health), ("advice", found.advice),
+    unknown = settings is not None and words.nameless(found)
+    todo = words.next_steps(found, shlex.join(found.bags) + words.own_config(settings.rig)
+                            ) if unknown else ()
+    for title, sentences in (("health", (*words.off_words(found), *found.health)),
+                             ("what to do", todo), ("advice", () if unknown else found.advice),
                              ("note", notes)):
         for text in sentences:
             to.print(f"[yellow]{title}[/]: {escape(words.sentence(text))}")
@@ -245,7 +242,7 @@ def show_diagnosis(found: Diagnosis, written: list[Path], notes: list[str] = (),
 def _print_place(to: Console, found: Diagnosis) -> None:
     place = words.place_words(found)
     if found.verdict in ("mismatch", "unexplained") and place:
-        worst = words.interval_words(found.location.intervals_s)
+        worst = words.worst_words(found)
         to.print(escape(f"where: {place}{f'; worst at {worst}' if worst else ''}"))
 
 
@@ -257,17 +254,14 @@ def _effects(found: Diagnosis) -> Table:
                       escape(effect.size),
                       escape("\n".join(f"{name} = {words.value_words(value)}"
                                        for name, value in effect.parameters.items())),
-                      escape(_rivals(effect.indistinguishable_from)) or "–")
+                      escape(words.rivals(effect.indistinguishable_from)) or "–")
     return shown
 
 
 def _changes(found: Diagnosis) -> Table:
     shown = table("changed", "healthy", "now", "indistinguishable from")
-    for change in found.changes:
-        name = f"{effect_words(change.what)} {change.symbol}" if change.symbol else SYMBOLS.get(
-            change.what, change.what)
-        shown.add_row(name, *words.pair_words(change.reference, change.now),
-                      escape(_rivals(change.indistinguishable_from)) or "–")
+    for row in words.change_rows(found):
+        shown.add_row(*map(escape, row))
     return shown
 
 
@@ -283,23 +277,18 @@ def _learned(found: Diagnosis) -> Table:
     return shown
 
 
-def _rivals(names: tuple[str, ...]) -> str:
-    return listed([effect_words(name) for name in names], "or")
-
-
 def _parameters(found: Diagnosis) -> Table:
-    shown = table("parameter", *("healthy", "now") if found.references else ("before", "after"))
+    shown = table("parameter", *words.model_names(found))
     for name in dict.fromkeys((*found.before, *found.after)):
         shown.add_row(SYMBOLS.get(name, name), *words.parameter_words(found, name))
     return shown
 
 
 def _fit(found: Diagnosis) -> Table:
-    shown = table("error on unseen data", "before", "after", "noise", "removed")
-    for name, fit in found.signals.items():
-        cells = [words.error_words(value, fit)
-                 for value in (fit.before_rms, fit.after_rms, fit.noise_rms)]
-        shown.add_row(escape(name.replace("_", " ")), *cells, words.removed_words(fit))
+    heads, rows = words.fit_rows(found)
+    shown = table(*heads)
+    for row in rows:
+        shown.add_row(*map(escape, row))
     how = "free run" if "position" in found.signals else "residual of each balance below 5 Hz"
     shown.caption = f"root mean square, {how}; on {words.DATA.get(found.data, found.data)}"
     shown.caption_justify = "left"

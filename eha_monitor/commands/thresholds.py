@@ -55,10 +55,17 @@ def thresholds(bags: tuple[Path, ...], config: Path | None, rate: float, least: 
     healthy, told, unfit, seconds = _healthy(bags, settings)
     diagnosed = bool(settings.rig.identified)
     remedy = [] if diagnosed else _remedy(list(unfit), bags, config)
+    compare = shlex.join(["eha-monitor", "diagnose", "NOW", "--reference", *map(str, bags),
+                          "--config", "DRAFT.yaml"])
     if not any(healthy.values()):
+        if remedy:
+            told.append(f"`{remedy[0]}` finds what the model lacks")
+        elif unfit:
+            told.append(f"`{compare}` compares the next recording (NOW) with these without "
+                        "limits, by the config that init drafted")
         raise InputError("; ".join([
             f"{_all_of(bags)}: expected at least one recording in which B or βe converges",
-            *told, *([f"`{remedy[0]}` finds what the model lacks"] if remedy else [])]))
+            *told]))
     proposals = [proposed(symbol, found, rate, least)
                  for symbol, found in healthy.items() if found]
     if unfit:
@@ -69,10 +76,8 @@ def thresholds(bags: tuple[Path, ...], config: Path | None, rate: float, least: 
             told += ["the diagnosed model brings narrower limits:",
                      *(f"  {command}" for command in remedy)]
         if diagnosed and any(len(found) < len(bags) for found in healthy.values()):
-            words = ["diagnose", "NOW", "--reference", *map(str, bags), "--config", "DRAFT.yaml"]
             told += ["what is left out shows in a comparison of the next recording (NOW) with "
-                     "these, by the config that init drafted:",
-                     f"  eha-monitor {shlex.join(words)}"]
+                     "these, by the config that init drafted:", f"  {compare}"]
     _show(proposals, told, seconds, settings, len(bags))
     if json_file:
         write_json(json_file, _tree(proposals, told, seconds, len(bags)))

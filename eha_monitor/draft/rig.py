@@ -94,7 +94,8 @@ def rig_entries(answers: Answers, seen: Seen, rotary: bool, name: str) -> list[E
         _told(answers, "pump_displacement", "of the pump", "1.6 cm^3/rev", seen_pump(
             answers, area_1, seen)),
         _gain(answers, seen),
-        _told(answers, "leakage", "C_T; affects beta_e in slow motion", "5e-13"),
+        _told(answers, "leakage", "m³/(s·Pa), all paths together; affects βe in slow motion",
+              "5e-13"),
         _makeup(answers), _charge(answers, seen, area_1, area_2),
         Entry("sample_time", number(seen.sample_time), "values: the usual step of the time")
         if "sample_time" not in given else _answered(answers, "sample_time"),
@@ -272,8 +273,8 @@ def _gain(answers: Answers, seen: Seen) -> Entry:
         return _answered(answers, "position_gain")
     if seen.gain and seen.gain[1] > FITS and seen.gain[0] > 0:
         return Entry("position_gain", number(seen.gain[0]), "values: omega over x_d - x, which "
-                     f"explains {min(seen.gain[1], 0.9999):.2%} of omega")
-    told = f" (x_d - x explains {seen.gain[1]:.0%} of omega)" if seen.gain else ""
+                     f"explains {100 * min(seen.gain[1], 0.9999):.2f} % of omega")
+    told = f" (x_d - x explains {100 * seen.gain[1]:.0f} % of omega)" if seen.gain else ""
     return Entry("position_gain", "null", "pump speed over position error, rad/(s·m); null: "
                                           f"unknown{told}", True)
 

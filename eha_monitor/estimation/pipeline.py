@@ -319,7 +319,7 @@ def warnings_of(inputs: Inputs, settings: Settings) -> list[str]:
     for name, count in inputs.spikes.items():
         notes.append(f"{name}: {count} isolated outlier{'s' if count > 1 else ''} left out")
     if inputs.model.active.any() and {"p1", "p2", "omega"} <= set(inputs.noise):
-        notes.append("effects are modelled: B, beta_e and leakage are not estimated together")
+        notes.append("the config has effects: B, βe and leakage are not estimated together")
     if inputs.model.hydraulics is not None and inputs.no_drive is None:
         stiff, mass = inputs.model.hydraulics[1], inputs.model.hydraulics[0]
         ring = np.sqrt(settings.rig.bulk_modulus * stiff / mass)

@@ -310,6 +310,15 @@ class Estimate:
         return {name: taint for name, taint in self.model.tainted.items()
                 if taint.instead is None}
 
+    @property
+    def told(self) -> tuple[Event, ...]:
+        """The events that are the machine's: not what a filter does whose model does not fit."""
+        lost = {stage.stage for stage in (self.stage_one, self.stage_two)
+                if stage.estimate.status != "converged" or stage.estimate.name in
+                self.model.tainted}
+        return tuple(event for event in self.events if event.stage not in lost or not any(
+            word in event.message for word in (" converged at ", " changed from ")))
+
 
 def units_of(motion: str) -> dict[str, str]:
     """Return the units of B, beta_e and L as people write them."""

@@ -337,7 +337,7 @@ class Planner:
                           b.total_time)
         if found is None:
             raise InputError(f"{self.source}: experiment: the limits allow no motion of at least "
-                             f"{SMALLEST:.0%} of the travel, and of "
+                             f"{100 * SMALLEST:.0f} % of the travel, and of "
                              f"{quantity(SEEN * experiment.noise[0], 'm', 2)} "
                              f"({SEEN:g} times the noise of the position), within "
                              f"{b.motion_time:g} s from x = {position:g} m, expected wider ones")

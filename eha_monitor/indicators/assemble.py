@@ -21,6 +21,8 @@ MOMENTS = 400  # of the pressures: their distribution is wanted, not their cours
 NO_JOINT = ("the leakage is not estimated: it needs x, p1, p2 and omega, and a config without "
             "effects")
 RIG = ("leakage", "pump_displacement")
+UNKNOWN = {"unexplained": "what the model lacks is not known",  # verdict -> why no B, no beta_e
+           "insufficient_data": "there are too few data"}
 UNSEEN = "the diagnosis does not identify the leakage beyond the configured value: {}"
 
 
@@ -154,7 +156,7 @@ def evidence_of_diagnosis(found: Diagnosis, recordings: list[Recording], setting
                 "the recording needs pressures and the flow of the pump")
     for name in ("B", "beta_e"):
         if name not in values:
-            why[name] = f"the verdict is {found.verdict.replace('_', ' ')}"
+            why[name] = UNKNOWN.get(found.verdict, "the recording does not determine it")
     return evidence(recordings, settings, values, covariance, why, diagnosed=not found.references,
                     settled=found.verdict in ("consistent", "mismatch"))
 

@@ -62,10 +62,11 @@ class Indicator:
 
     @property
     def shown(self) -> str:
-        """The value as people read it, a dash where it is not reported."""
+        """The value as people read it, in brackets in doubt, a dash where it is not reported."""
         if self.status != AVAILABLE:
             return "—"
-        return with_uncertainty(self.value, self.stddev, self.unit)
+        known = with_uncertainty(self.value, self.stddev, self.unit)
+        return f"({known})" if self.doubtful else known
 
     def tree(self) -> dict:
         """Return what stands in a JSON answer; value and stddev only where they are known."""

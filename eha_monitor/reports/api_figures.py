@@ -14,11 +14,11 @@ from eha_monitor.recordings.columns import sampled
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.reports import diagnosis_figures, estimate_figures
 from eha_monitor.reports import figure as fig
-from eha_monitor.reports.estimate_figures import NAMES
 from eha_monitor.reports.still_image import Drawing, drawn, words_drawn
 from eha_monitor.reports.traces import robust_range
 from eha_monitor.settings.monitor import Experiment
 from eha_monitor.settings.rig import Rig, Segment
+from eha_monitor.words import PARAMETER_WORDS
 
 # Channels that are drawn on the same axes, and what these are called.
 _TOGETHER = {"x": "position", "x_d": "position", "v": "velocity", "omega": "pump speed",
@@ -69,7 +69,8 @@ def estimate_drawing(estimate: Estimate, names: Sequence[str]) -> Drawing:
     """Draw ``B``, ``beta_e`` or both as they converge, with band and limits."""
     figure = estimate_figures.parameter_figure(estimate_figures.presentable(estimate), names)
     return _drawn(figure, "; ".join(
-        f"{NAMES[name]}: {estimate.parameters[name].message or 'no data'}" for name in names))
+        f"{PARAMETER_WORDS[name]}: {estimate.parameters[name].message or 'no data'}"
+        for name in names))
 
 
 def diagnosis_drawing(found: Diagnosis, what: str) -> Drawing:
@@ -94,7 +95,7 @@ def diagnosis_drawing(found: Diagnosis, what: str) -> Drawing:
                       "No data were held out to run the models on.")
     return _drawn(diagnosis_figures.agreement_figure(what, found.agreement, found.before.get(what),
                                    found.after.get(what)),
-                  f"{NAMES[what]}: no value from parts of the recording")
+                  f"{PARAMETER_WORDS[what]}: no value from parts of the recording")
 
 
 DIAGNOSIS_DRAWINGS = {what: partial(diagnosis_drawing, what=what)

@@ -29,11 +29,11 @@ from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.quantity import SYMBOLS, Scale, number, quantity, with_uncertainty
 from eha_monitor.reports import figure as fig
 from eha_monitor.reports.diagnosis_words import value_words
-from eha_monitor.reports.estimate_figures import NAMES, add_limits, is_near, limits_of
+from eha_monitor.reports.estimate_figures import add_limits, is_near, limits_of
 from eha_monitor.reports.estimate_report import STATUS_WORDS
 from eha_monitor.reports.page import Cell, Table, render, table
 from eha_monitor.settings.monitor import Settings
-from eha_monitor.words import effect_words, listed, probability
+from eha_monitor.words import PARAMETER_WORDS, effect_words, listed, probability
 
 DAY = 86400.0  # s
 _ENLARGED = 0.4  # share of the picture with the limits below which the values get one of their own
@@ -48,7 +48,8 @@ _NEVER = 50.0  # years: beyond that a date is no date
 
 def title_of(name: str) -> str:
     """Return the heading of a parameter or an indicator."""
-    return (f"{NAMES[name].capitalize()} {SYMBOLS[name]}" if name in NAMES and name != "L"
+    return (f"{PARAMETER_WORDS[name].capitalize()} {SYMBOLS[name]}"
+            if name in PARAMETER_WORDS and name != "L"
             else WORDS[name][0].upper() + WORDS[name][1:])
 
 

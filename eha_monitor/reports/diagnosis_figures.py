@@ -16,9 +16,8 @@ from eha_monitor.mismatch.diagnosis import (
 )
 from eha_monitor.quantity import SYMBOLS
 from eha_monitor.reports import figure as fig
-from eha_monitor.reports.estimate_figures import NAMES
 from eha_monitor.reports.traces import LARGEST, robust_range, tamed
-from eha_monitor.words import effect_words, listed
+from eha_monitor.words import PARAMETER_WORDS, effect_words, listed
 
 # What is measured is dark grey, the model before orange, the model after blue.
 SEEN, BEFORE, AFTER, _FAINT = "#5b6873", fig.STAGE_TWO, fig.STAGE_ONE, "#b4bcc4"
@@ -33,6 +32,7 @@ _SYMBOL_OF = {"velocity": "velocity v", "position": "position x", "omega": "pump
 _FACTORS = {"dp": "Δp", "v": "v", "omega": "ω"}
 # In steady motion pump and piston go together; a force hangs on the piston, pressures on it.
 _INDIRECT, _STAND_IN = (("force", "pump_speed"), ("force", "pressure_difference")), 0.5
+_STEPS_OF_TIME = 12  # of a recording, in which a slow change shows over the motion
 _MOST_BARS = 70  # points with a bar each; more get a band
 _APART = 4.0  # times the usual distance of the dots: so far apart no line joins them
 
@@ -63,17 +63,39 @@ def informative(found: Diagnosis) -> list[MissingTerm]:
     """Return the curves that have something to draw, the most informative one first.
 
     A curve says much where its quantity decides the missing term: what it varies by is then
-    large against the spread at each place.  The balance that is blamed goes first; time goes last,
-    for it decides nothing by itself, unless what is named comes and goes.
+    large against the spread at each place.  The balance with the largest share goes first, of
+    those that something was named in, then the best curve of each other one; time goes last, for
+    it decides nothing by itself, unless what is named comes and goes, or nothing is named.
     """
-    timed = bool(found.effects and found.effects[0].intervals_s)
-    blamed = found.effects[0].balance if found.effects else max(
-        found.location.balance, key=found.location.balance.get, default="")
+    share = found.location.balance
+    named = {effect.balance for effect in found.effects} or set(share)
+    blamed = max(named, key=lambda balance: share.get(balance, 0.0), default="")
+    timed = any(effect.intervals_s for effect in found.effects if effect.balance == blamed)
     drawable = [curve for curve in found.curves
                 if np.isfinite(curve.measured * curve.x).sum() >= 2]
-    return sorted(drawable, key=lambda curve: (
-        curve.balance != blamed, (curve.against == "time") != timed,
-        -_contrast(curve) * (_STAND_IN if (curve.balance, curve.against) in _INDIRECT else 1.0)))
+
+    def rank(curve: MissingTerm) -> tuple[bool, float]:
+        if curve.against == "time" and found.verdict == "unexplained" and not found.effects:
+            return False, -_contrast(_in_steps(curve))
+        stand_in = _STAND_IN if (curve.balance, curve.against) in _INDIRECT else 1.0
+        return (curve.against == "time") != timed, -_contrast(curve) * stand_in
+
+    best: dict[str, list[MissingTerm]] = {}
+    for curve in sorted(drawable, key=rank):
+        best.setdefault(curve.balance, []).append(curve)
+    first, others = best.pop(blamed, []), [curves[0] for name, curves in best.items()
+                                           if name in named]
+    rest = [curve for name, curves in best.items() for curve in curves[name in named:]]
+    return first[:1] + others + first[1:] + rest
+
+
+def _in_steps(curve: MissingTerm) -> MissingTerm:
+    """Return a curve against time as others are, in places: the mean and spread of each."""
+    known = np.isfinite(curve.measured) & np.isfinite(curve.x)
+    parts = [part for part in np.array_split(curve.measured[known], _STEPS_OF_TIME) if part.size]
+    return replace(curve, x=np.arange(len(parts), dtype=float),
+                   measured=np.array([part.mean() for part in parts]),
+                   spread=np.array([part.std() for part in parts]), modelled=np.array([]))
 
 
 def _contrast(curve: MissingTerm) -> float:
@@ -208,7 +230,7 @@ def agreement_figure(name: str, parts: tuple[Agreement, ...], before: Value | No
     scale = fig.axis_scale(max(map(abs, ends)), known[0].unit)
     low, high = min(ends), max(ends)
     margin = 0.06 * (high - low) or 0.1 * abs(high) or 1.0
-    words = f"{NAMES.get(name, name)} {SYMBOLS.get(name, name)}"
+    words = f"{PARAMETER_WORDS.get(name, name)} {SYMBOLS.get(name, name)}"
     panel = fig.Panel(fig.Side(words, scale, limits=(low - margin, high + margin)),
                       fig.Side(rows=tuple(row[0] for row in rows)))
     if _drawable(after):
@@ -224,8 +246,8 @@ def agreement_figure(name: str, parts: tuple[Agreement, ...], before: Value | No
                 at, np.array([place for _, place in mine]), f"{label}, ± 1σ",
                 colour, 0.0, marker=marker, size=7.5, error_width=2.0, cap=3.0,
                 x_error=np.maximum([at - reach[0], reach[1] - at], 0.0)))
-    return fig.Figure((panel,), f"{NAMES.get(name, name)} from each part of the record, before "
-                                "and after modelling", size=(LARGE[0], 110 + 44 * len(rows)))
+    return fig.Figure((panel,), f"{PARAMETER_WORDS.get(name, name)} from each part of the record, "
+                      "before and after modelling", size=(LARGE[0], 110 + 44 * len(rows)))
 
 
 def _drawable(value: Value | None) -> bool:

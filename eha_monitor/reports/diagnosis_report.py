@@ -16,7 +16,6 @@ from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.quantity import DIAGNOSED, SYMBOLS, number, quantity
 from eha_monitor.reports import diagnosis_figures as figures
 from eha_monitor.reports import diagnosis_words as words
-from eha_monitor.reports.estimate_figures import NAMES
 from eha_monitor.reports.figure import Block
 from eha_monitor.reports.page import (
     FirstScreen,
@@ -31,7 +30,7 @@ from eha_monitor.reports.timeline import interval_timeline
 from eha_monitor.settings.monitor import Settings
 from eha_monitor.settings.own_terms import is_own
 from eha_monitor.settings.rig import Tolerance, corrected
-from eha_monitor.words import effect_words, listed
+from eha_monitor.words import PARAMETER_WORDS, effect_words, listed
 from eha_monitor.words import probability as probability_words
 
 _MOST_CURVES = 6
@@ -54,7 +53,7 @@ def diagnosis_page(found: Diagnosis, settings: Settings, losses: Sequence[str] =
     return render(
         "diagnosis.html.j2", plus_minus=DIAGNOSED, title=f"EHA diagnosis: {name}", name=name,
         first=_first_screen(found, curves, settings), facts=_facts(found, settings), losses=losses,
-        verdict=found.verdict, references=len(found.references), compared=_compared(found),
+        verdict=found.verdict, references=len(found.references), compared=words.compared(found),
         indicators=indicator_table(indicators, settings), laws=law_table(indicators),
         changes=_changes(found), pieces=_pieces(found), machine=_machine(found),
         wrong=_rig_table(found.rig_data, settings.rig.tolerance),
@@ -75,17 +74,6 @@ def diagnosis_page(found: Diagnosis, settings: Settings, losses: Sequence[str] =
         rotary=settings.rig.motion == "rotary")
 
 
-def _compared(found: Diagnosis) -> bool:
-    """Whether there is a model after the one of the config."""
-    return bool(found.effects or found.rig_data or found.rig_within or found.pieces
-                or found.learned or found.references)
-
-
-def _names(found: Diagnosis) -> tuple[str, str]:
-    """Return what the two models are called, as on the terminal."""
-    return ("healthy", "now") if found.references else ("before", "after")
-
-
 # ---- the first screen -----------------------------------------------------------------------
 
 def _first_screen(found: Diagnosis, curves: list[diagnosis.Curve], settings: Settings
@@ -98,8 +86,9 @@ def _first_screen(found: Diagnosis, curves: list[diagnosis.Curve], settings: Set
     elif curves:
         picture = figures.curve_figure(found, curves[0], large=True)
         caption = _curve_note(found, curves[0])
-    shown = (found.before, found.after) if _compared(found) else (found.before,)
-    heads = ("parameter", *(_names(found) if _compared(found) else ("model of the config",)))
+    both = words.compared(found)
+    shown = (found.before, found.after) if both else (found.before,)
+    heads = ("parameter", *(words.model_names(found) if both else ("model of the config",)))
     parameters = table(" | ".join(heads), [
         (_symbol(name), *words.parameter_words(found, name)[:len(shown)])
         for name in dict.fromkeys((*found.before, *found.after))],
@@ -107,18 +96,20 @@ def _first_screen(found: Diagnosis, curves: list[diagnosis.Curve], settings: Set
     return FirstScreen(
         words.head_of(found)[0], words.head_words(found), words.message_words(found, True),
         tuple(f"{words.recordings_words(found)} {effect_words(effect.name)} is indistinguishable "
-              f"from {_rivals(effect.indistinguishable_from)}." for effect in found.effects
+              f"from {words.rivals(effect.indistinguishable_from)}." for effect in found.effects
               if effect.indistinguishable_from),
         tuple((words.rig_words(one), (one.indistinguishable_from
                and f"{words.recordings_words(found)} {one.key} is indistinguishable from "
-                   f"{_rivals(one.indistinguishable_from)}.") or "") for one in found.rig_data),
-        picture, caption, parameters or None, tuple(map(words.sentence, found.health)),
+                   f"{words.rivals(one.indistinguishable_from)}.") or "")
+              for one in found.rig_data),
+        picture, caption, parameters or None,
+        tuple(map(words.sentence, (*words.off_words(found), *found.health))),
         words.next_steps(found, shlex.join(found.bags) + words.own_config(settings.rig)),
         found.verdict, tuple(map(words.sentence, words.channels_in_parts(found)[0])))
 
 
 def _symbol(name: str) -> str:
-    return f"{NAMES.get(name, name)} {SYMBOLS.get(name, name)}"
+    return f"{PARAMETER_WORDS.get(name, name)} {SYMBOLS.get(name, name)}"
 
 
 def _curve_note(found: Diagnosis, curve: diagnosis.Curve) -> str:
@@ -160,13 +151,8 @@ def _facts(found: Diagnosis, settings: Settings) -> list[tuple[str, str]]:
 
 def _changes(found: Diagnosis) -> Table:
     """Return what has changed against healthy recordings."""
-    rows = []
-    for one in found.changes:
-        name = (f"{effect_words(one.what)} {one.symbol}" if one.symbol
-                else f"{NAMES.get(one.what, one.what)} {SYMBOLS.get(one.what, '')}").strip()
-        rows.append((name, *words.pair_words(one.reference, one.now),
-                     _rivals(one.indistinguishable_from) or "–"))
-    return table("number | healthy | now | indistinguishable from", rows, " | value | value | ",
+    return table("number | healthy | now | indistinguishable from", words.change_rows(found),
+                 " | value | value | ",
                  note=f"Healthy: mean of {len(found.references)} recordings, ± their standard "
                       "deviation from one to the next. Now: this recording, ± its uncertainty "
                       "due to noise.")
@@ -220,7 +206,7 @@ def _rig_table(findings: Sequence[diagnosis.RigFinding], tolerance: Tolerance, k
         row = [one.key, configured, words.tolerance_words(tolerance, one.key), said]
         if wrong:
             row += [words.beyond_words(tolerance, one), probability_words(one.probability),
-                    _rivals(one.indistinguishable_from) or "–"]
+                    words.rivals(one.indistinguishable_from) or "–"]
         rows.append(row)
     return table("number | config | its tolerance | recording"
                  + (" | off by | probability | indistinguishable from" if wrong else ""), rows,
@@ -249,7 +235,7 @@ def _effect(effect: diagnosis.NamedEffect, duration_s: float) -> dict[str, Any]:
     probability = probability_words(effect.probability)
     balance = words.BALANCES.get(effect.balance, effect.balance)
     facts = [("probability", probability if probability != "—" else ""),
-             ("indistinguishable from", _rivals(effect.indistinguishable_from)
+             ("indistinguishable from", words.rivals(effect.indistinguishable_from)
               or "none of the alternatives that were compared"),
              ("check at the rig", words.sentence(effect.rig_check)),
              ("equation", effect.equation and effect.equation + source)]
@@ -273,32 +259,26 @@ def _location(found: Diagnosis) -> dict[str, Any] | None:
     return {"bars": [(words.BALANCES.get(name, name), words.percent(share),
                       round(100 * min(max(share, 0.0), 1.0), 2))
                      for name, share in sorted(shares.items(), key=lambda item: -item[1])],
-            "regime": words.REGIMES.get(found.location.regime,
-                                        found.location.regime.replace("_", " ")),
-            "timeline": interval_timeline("worst", found.location.intervals_s, found.duration_s),
-            "intervals": words.interval_words(found.location.intervals_s)}
+            "regime": words.regime_words(found),
+            "timeline": interval_timeline("worst", found.location.intervals_s, found.duration_s)
+            if words.worst_words(found) else None,
+            "intervals": words.worst_words(found)}
 
 
 def _fit(found: Diagnosis) -> Table:
     """Return the errors on unseen data."""
-    first, second = _names(found)
-    rows = []
-    for name, fit in found.signals.items():
-        before, after, noise = (words.error_words(value, fit) for value in (
-            fit.before_rms, fit.after_rms, fit.noise_rms))
-        compared = (after, noise, words.removed_words(fit))
-        rows.append((name.replace("_", " "), before,
-                     *(compared if _compared(found) else (noise,))))
-    head = ((f"error on unseen data | {first} | {second} | noise | removed",
-             "number | value | value | number | number") if _compared(found)
-            else ("error on unseen data | model | noise", "number | value | number"))
-    return table(head[0], rows, head[1], "errors", "Root mean square." + (
-        " Removed: of what exceeds the sensor noise." if _compared(found) else ""))
+    heads, rows = words.fit_rows(found)
+    kinds = ("number", "value", "value", "number", "number")
+    return table(" | ".join(heads), rows, " | ".join(
+        kinds if words.compared(found) else ("number", "value", "number")), "errors",
+        "Root mean square." + (" Removed: of what exceeds the sensor noise."
+                               if words.compared(found) else ""))
 
 
 def _overlays(found: Diagnosis) -> list:
     names = ("healthy model", "model now") if found.references else ("model before", "model after")
-    made = [figures.overlay_figure(overlay, _compared(found), names) for overlay in found.overlays]
+    made = [figures.overlay_figure(overlay, words.compared(found), names)
+            for overlay in found.overlays]
     return [one for one in made if one is not None]
 
 
@@ -314,7 +294,7 @@ def _evidence(found: Diagnosis) -> Table:
 
 def _memory_table(found: Diagnosis) -> Table:
     """Return how far the one-step errors are from white."""
-    first, second = _names(found)
+    first, second = words.model_names(found)
     return table(f"memory of the one-step errors | {first} | {second}", [
         (name.replace("_", " "), _memory(fit.before_whiteness), _memory(fit.after_whiteness))
         for name, fit in found.signals.items()], " | number | number",
@@ -383,10 +363,6 @@ def _agreement(found: Diagnosis) -> Block | None:
         notes.append(f"{SYMBOLS.get(name, name)} from the parts: {spans[0]} before, "
                      f"{spans[1]} after.")
     return Block("agreement", "", tuple(pictures), tuple(notes)) if pictures else None
-
-
-def _rivals(names: tuple[str, ...]) -> str:
-    return listed([effect_words(name) for name in names], "or")
 
 
 # ---- the config -----------------------------------------------------------------------------

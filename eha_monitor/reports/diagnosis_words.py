@@ -19,7 +19,7 @@ from eha_monitor.quantity import (
 from eha_monitor.settings.channels import CHANNELS
 from eha_monitor.settings.rig import Rig, Tolerance
 from eha_monitor.units import LARGEST
-from eha_monitor.words import listed, probability
+from eha_monitor.words import PARAMETER_WORDS, effect_words, listed, probability
 
 # Verdict -> (colour, first words).
 VERDICTS = {
@@ -48,6 +48,7 @@ BALANCES = {"force": "force balance", "flow": "flow balance", "drive": "drive",
 DATA = {"held_out": "a held-out part of the recording",
         "held_out_bag": "another recording, not used in the fit"}
 _MOST_INTERVALS = 6
+_WHOLE = 0.9  # of a recording: intervals that cover it say nothing
 _STATISTICS = "variance inflation"  # of every sentence on how well parameters are separated
 
 
@@ -68,9 +69,28 @@ def head_of(found: Diagnosis) -> tuple[str, str]:
     return VERDICTS.get(found.verdict, ("unknown", found.verdict))
 
 
+def compared(found: Diagnosis) -> bool:
+    """Whether there is a model after the one of the config."""
+    return bool(found.effects or found.rig_data or found.rig_within or found.pieces
+                or found.learned or found.references)
+
+
+def model_names(found: Diagnosis) -> tuple[str, str]:
+    """Return what the two models are called."""
+    return ("healthy", "now") if found.references else ("before", "after")
+
+
+def nameless(found: Diagnosis) -> bool:
+    """Whether something is missing, and nothing of it was named or learned."""
+    return found.verdict == "unexplained" and not (found.effects or found.learned)
+
+
 def advice_in_parts(found: Diagnosis) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Return the advice for whoever stands at the rig, and that on correlations."""
-    statistics = tuple(text for text in found.advice if _STATISTICS in text)
+    """Return the advice for whoever stands at the rig, and that on correlations.
+
+    How well parameters are separated is no advice where the model lacks what nobody knows.
+    """
+    statistics = tuple(text for text in found.advice if nameless(found) or _STATISTICS in text)
     return tuple(text for text in found.advice if text not in statistics), statistics
 
 
@@ -98,9 +118,41 @@ def next_steps(found: Diagnosis, bags: str) -> tuple[str, ...]:
         steps.append(f"use {listed(known) or 'the numbers'} of the completed config: "
                      f"`eha-monitor diagnose {bags} --write-config FILE`")
     elif found.verdict == "unexplained" and not completed:
-        steps.append("do not act on B and βe: they carry what is missing")
+        steps.append("do not act on B and βe: what is missing is in them")
+    if nameless(found):
+        steps += _look_yourself(found, bags)
     steps += advice_in_parts(found)[0]
     return tuple(map(sentence, dict.fromkeys(steps))) or ("Nothing.",)
+
+
+# Balance -> what to look at where no effect of the catalogue explains what is missing.
+LOOK_AT = {
+    "force": "the load, the stops, the guides and seals, and the pressure and position sensors",
+    "flow": "the pump, hoses, valves and oil, and the pressure, speed and position sensors",
+    "drive": "the motor, its limits and its speed command, and the position sensor",
+    "sensor": "the sensors, their cables and amplifiers"}
+
+
+def _look_yourself(found: Diagnosis, bags: str) -> list[str]:
+    """Return what to do where no effect of the catalogue explains what is missing."""
+    balance = max(found.location.balance, key=found.location.balance.get, default="")
+    steps = [f"look at {LOOK_AT[balance]}; the report's curve shows when or where it is off"
+             ] if balance in LOOK_AT else []
+    if not found.references:
+        steps.append(f"compare with recordings of the healthy machine: `eha-monitor diagnose "
+                     f"{bags} --reference HEALTHY ...` says whether it has always been so")
+    steps.append("test a law that you suspect: `--hypothesis FILE` (docs/effects.md)")
+    return steps
+
+
+def off_words(found: Diagnosis) -> tuple[str, ...]:
+    """Return by how much the balance is off that nothing was named in; nothing if it was."""
+    balance = max(found.location.balance, key=found.location.balance.get, default="")
+    fit = found.signals.get(balance)
+    if not nameless(found) or fit is None or not math.isfinite(fit.before_rms):
+        return ()
+    return (f"the {balance} is off by {error_words(fit.before_rms, fit)} on unseen data (root "
+            f"mean square), where the sensors' noise makes {error_words(fit.noise_rms, fit)}",)
 
 
 # Parameter, and whether it is too high or has grown -> what to look for at the machine.
@@ -119,6 +171,19 @@ def _look_for(change: Change) -> str:
     return LOOK_FOR.get((change.what, change.now.value > change.reference.value), "")
 
 
+def rivals(names: tuple[str, ...]) -> str:
+    """Return what something is indistinguishable from; empty without any."""
+    return listed([effect_words(name) for name in names], "or")
+
+
+def change_rows(found: Diagnosis) -> list[tuple[str, str, str, str]]:
+    """Return what has changed: name, healthy, now, and what it is indistinguishable from."""
+    return [(f"{effect_words(one.what)} {one.symbol}" if one.symbol else
+             f"{PARAMETER_WORDS.get(one.what, effect_words(one.what))} {SYMBOLS.get(one.what, '')}"
+             .strip(), *pair_words(one.reference, one.now),
+             rivals(one.indistinguishable_from) or "–") for one in found.changes]
+
+
 def parameter_words(found: Diagnosis, name: str) -> tuple[str, str]:
     """Return a parameter before (of healthy recordings) and after (now).
 
@@ -127,6 +192,8 @@ def parameter_words(found: Diagnosis, name: str) -> tuple[str, str]:
     for change in found.changes:
         if change.what == name and not change.symbol:
             return pair_words(change.reference, change.now)
+    if nameless(found) and not found.references and name in found.before:
+        return f"({value_words(found.before[name])}), in doubt", "—"
     return pair_words(found.before.get(name), found.after.get(name))
 
 
@@ -231,6 +298,19 @@ def sentence(text: str) -> str:
     return first + text[1:] + ("" if text[-1] in ".!?" else ".")
 
 
+def worst_words(found: Diagnosis) -> str:
+    """Return the times where the disagreement is worst; empty where they are the whole of it."""
+    intervals = found.location.intervals_s
+    if sum(stop - start for start, stop in intervals) > _WHOLE * found.duration_s > 0:
+        return ""
+    return interval_words(intervals)
+
+
+def regime_words(found: Diagnosis) -> str:
+    """Return in which motion the disagreement is; empty where that is not known."""
+    return REGIMES.get(found.location.regime, found.location.regime.replace("_", " "))
+
+
 def place_words(found: Diagnosis) -> str:
     """Return where the disagreement lies, as one phrase; empty where there is none."""
     shares = sorted(((share, name) for name, share in found.location.balance.items()
@@ -238,7 +318,7 @@ def place_words(found: Diagnosis) -> str:
     if not shares:
         return ""
     text = ", ".join(f"{BALANCES.get(name, name)} {percent(share)}" for share, name in shares)
-    regime = REGIMES.get(found.location.regime, found.location.regime.replace("_", " "))
+    regime = regime_words(found)
     return f"{text}; {regime}" if regime else text
 
 
@@ -311,6 +391,18 @@ def error_words(value: float, fit: SignalFit) -> str:
         return "—"
     scale = error_scale(fit)
     return f"{number(value * scale.factor, 3)} {scale.unit}".rstrip()
+
+
+def fit_rows(found: Diagnosis) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
+    """Return the errors on unseen data: heads, and a row for each signal."""
+    rows = []
+    for name, fit in found.signals.items():
+        before, after, noise = (error_words(value, fit) for value in (
+            fit.before_rms, fit.after_rms, fit.noise_rms))
+        rows.append((name.replace("_", " "), before, *(
+            (after, noise, removed_words(fit)) if compared(found) else (noise,))))
+    return ("error on unseen data", *((*model_names(found), "noise", "removed")
+                                      if compared(found) else ("model", "noise"))), rows
 
 
 def removed_words(fit: SignalFit) -> str:

@@ -11,8 +11,8 @@ from eha_monitor.quantity import SYMBOLS, Scale, number, quantity
 from eha_monitor.reports import figure as fig
 from eha_monitor.reports import traces
 from eha_monitor.settings.monitor import Limits
+from eha_monitor.words import PARAMETER_WORDS
 
-NAMES = {"B": "viscous damping", "beta_e": "effective bulk modulus", "L": "leakage"}
 _LIMITS = (("low_error", "ERROR below"), ("low_warn", "WARN below"),
            ("high_warn", "WARN above"), ("high_error", "ERROR above"))
 _WHOLE, _SHARED = slice(None), "record"  # charts of the whole record zoom together
@@ -67,7 +67,7 @@ def parameter_block(estimate: Estimate, name: str) -> fig.Block:
     """Return the convergence of ``B`` or ``beta_e``: all of it with the limits, and its end."""
     one = _watched(estimate, name)
     stage, value = one.stage, one.stage.value
-    key, title = f"parameter-{name}", f"{NAMES[name].capitalize()} {SYMBOLS[name]}"
+    key, title = f"parameter-{name}", f"{PARAMETER_WORDS[name].capitalize()} {SYMBOLS[name]}"
     if not np.isfinite(value).any():
         reason = stage.estimate.message or "the stage had no data"
         return fig.Block(key, title, notes=(f"No curve: {reason}",))
@@ -153,7 +153,7 @@ def _parameters(shown: list[_Watched], part: slice, views: list[tuple[float, flo
     time = _time_side(shown[0].stage.time, part, words)
     panels = tuple(_parameter_panel(one, part, view, time if one is shown[-1] else replace(
         time, name="", note="")) for one, view in zip(shown, views, strict=True))
-    last = [f"{NAMES[one.name]}, last value " + quantity(
+    last = [f"{PARAMETER_WORDS[one.name]}, last value " + quantity(
         one.stage.value[np.isfinite(one.stage.value)][-1], one.stage.estimate.unit)
         for one in shown]
     return fig.Figure(panels, f"{' and '.join(last)}: against time with the one-sigma band and "
@@ -302,13 +302,17 @@ class _Motion:
         return base + ("", "/s", "/s²")[order]
 
     def estimated(self, attribute: str) -> list[_Signal]:
-        """Return the states of both stages that have data; nothing where the data have a gap."""
+        """Return the states of both stages that have data; nothing where the data have a gap.
+
+        A stage that diverged has no motion to compare with.
+        """
         gap = traces.in_gap(self.estimate.recording.get("x"))
         stages = ((self.estimate.stage_one, "stage one", fig.STAGE_ONE, "solid"),
                   (self.estimate.stage_two, "stage two", fig.STAGE_TWO, "dash"))
         found = [_Signal(label, np.where(gap, np.nan, getattr(stage, attribute)), colour, 1.5,
                          dash, True) for stage, label, colour, dash in stages
-                 if len(getattr(stage, attribute)) == len(self.estimate.recording)]
+                 if len(getattr(stage, attribute)) == len(self.estimate.recording)
+                 and stage.estimate.status != "diverged"]
         return [one for one in found if one.drawable]
 
     def pictures(self, signals: list[_Signal], residuals: list[_Signal], name: str, unit: str

@@ -16,7 +16,6 @@ from eha_monitor.quantity import FLOOR, ROTARY, SYMBOLS, number, quantity, share
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.reports import estimate_figures as figures
 from eha_monitor.reports.diagnosis_words import LOOK_FOR, own_config, sentence
-from eha_monitor.reports.estimate_figures import NAMES
 from eha_monitor.reports.page import (
     Cell,
     FirstScreen,
@@ -29,7 +28,7 @@ from eha_monitor.reports.page import (
 )
 from eha_monitor.reports.timeline import alarm_timeline, alarm_words
 from eha_monitor.settings.channels import CHANNEL_UNITS
-from eha_monitor.words import listed
+from eha_monitor.words import PARAMETER_WORDS, listed
 
 if TYPE_CHECKING:
     from eha_monitor.estimation.joint import ObservabilityTable
@@ -87,7 +86,7 @@ def verdict(estimate: Estimate, alarms: tuple[Alarm, ...]) -> Verdict:
         parts.append(_values(known, alarms))
     if unknown:
         parts.append("no estimate of " + " and ".join(
-            f"{NAMES[p.name]} {SYMBOLS[p.name]} ({STATUS_WORDS.get(p.status, p.status)})"
+            f"{PARAMETER_WORDS[p.name]} {SYMBOLS[p.name]} ({STATUS_WORDS.get(p.status, p.status)})"
             for p in unknown))
     if estimate.model.status == "consistent":
         parts.append("the model fits the recording")
@@ -167,7 +166,7 @@ def next_steps(estimate: Estimate, alarms: tuple[Alarm, ...]) -> tuple[str, ...]
     for p in estimate.parameters.values():
         if p.status in _STEPS:
             steps.append(_STEPS[p.status].format(
-                name=NAMES[p.name], symbol=SYMBOLS[p.name], bag=bag + own,
+                name=PARAMETER_WORDS[p.name], symbol=SYMBOLS[p.name], bag=bag + own,
                 message=p.message.rstrip(".") or "its channels are missing"))
     judged = {p.name for p in estimate.parameters.values() for a in alarms
               if a.name.startswith(_SECTIONS[p.name]) and a.message != NO_LIMIT}
@@ -208,11 +207,11 @@ def estimate_page(estimate: Estimate, alarms: tuple[Alarm, ...], history: tuple[
         convergence=[figures.parameter_block(estimate, name) for name in ("B", "beta_e")],
         innovations=[figures.innovation_block(estimate, estimate.stage_one),
                      figures.innovation_block(estimate, estimate.stage_two)],
-        timeline=alarm_timeline(alarms, history, estimate.events, recording.duration),
+        timeline=alarm_timeline(alarms, history, estimate.told, recording.duration),
         alarms=_alarm_table(alarms, "alarms"), history=_alarm_table(history, "history"),
         events=table("no. | time | stage | event", [
             (i, _seconds(one.time_s), one.stage, one.message)
-            for i, one in enumerate(estimate.events, 1)], " | number |  | message", "events"),
+            for i, one in enumerate(estimate.told, 1)], " | number |  | message", "events"),
         joint=estimate.joint and _joint_table(estimate.joint),
         joint_message=estimate.joint.message if estimate.joint else "",
         correlation=estimate.joint and _correlation_table(estimate.joint),
@@ -237,7 +236,7 @@ def _first_screen(estimate: Estimate, alarms: tuple[Alarm, ...]) -> FirstScreen:
         said.kind, said.headline, said.text,
         picture=next(filter(None, pictures), None),
         parameters=table("parameter | value | limits", [
-            (f"{NAMES[key]} {SYMBOLS[key]}", _value_cell(
+            (f"{PARAMETER_WORDS[key]} {SYMBOLS[key]}", _value_cell(
                 p, key in estimate.doubted, key in estimate.model.tainted), Cell(
                 figures.limits_in_words(limits[key], p.unit), "message desk"))
             for key, p in estimate.parameters.items()], key="parameters"),
@@ -296,7 +295,7 @@ def _alarm_table(alarms: tuple[Alarm, ...], key: str) -> Table:
 def _joint_table(joint: JointResult) -> Table:
     """Return the parameters of the joint estimator."""
     return table("parameter | value | in words", [
-        (f"{NAMES.get(p.name, p.name)} {SYMBOLS.get(p.name, p.name)}", _value_cell(p),
+        (f"{PARAMETER_WORDS.get(p.name, p.name)} {SYMBOLS.get(p.name, p.name)}", _value_cell(p),
          p.message if p.status == "converged" else "") for p in joint.parameters.values()],
         " |  | message", "joint")
 

@@ -154,7 +154,9 @@ class Side:
 
     @property
     def words(self) -> str:
-        """What is written beside the axis."""
+        """What is written beside the axis; nothing where another panel's axis says it."""
+        if not self.name:
+            return ""
         return ", ".join(filter(None, (self.name, self.unit))) + (
             f" — {self.note}" if self.note else "")
 

@@ -175,10 +175,16 @@ def contents(body: Markup) -> Contents:
 def coded(text: str) -> Markup:
     """Return an escaped text in which what stands between backticks is code.
 
-    >>> coded("run `advise <bag>`")
-    Markup('run <code>advise &lt;bag&gt;</code>')
+    No line ends behind the hyphens of an option.
+
+    >>> coded("run `advise <bag> --json A`")
+    Markup('run <code>advise &lt;bag&gt; <span>--json</span> A</code>')
     """
-    return Markup(re.sub("`([^`]*)`", r"<code>\1</code>", str(escape(text))))
+    def code(found: re.Match) -> str:
+        words = re.sub(r"(?<!\S)--[a-z-]+", r"<span>\g<0></span>", found[1])
+        return f"<code>{words}</code>"
+
+    return Markup(re.sub("`([^`]*)`", code, str(escape(text))))
 
 
 def for_script(text: str) -> Markup:

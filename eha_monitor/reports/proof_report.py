@@ -79,7 +79,7 @@ def proof_page(found: dict, work: Path | None = None) -> str:
     """Return the report of a trial as HTML text; ``work`` has the curves of the misses."""
     return render(
         "proof.html.j2", title="EHA diagnosis: the concealed-effect trial", facts=_facts(found),
-        marks=marks(found), groups=groups(found),
+        verdict=verdict(found), marks=marks(found), groups=groups(found),
         reliability=reliability_figure(found),
         effects=effects(found), confusion=confusion(found), misses=_miss_cards(found, work),
         cases=found["cases"])
@@ -103,16 +103,37 @@ def _facts(found: dict) -> list[tuple[str, str]]:
     return facts
 
 
+def verdict(found: dict) -> tuple[str, str]:
+    """Return the colour and the sentence of the first screen."""
+    reached = [_reached(found, name) for name in MARKS]
+    judged = [one for one in reached if one is not None]
+    missed = judged.count(False)
+    exact = percent(found["score"].get("exact"))
+    return ("warn" if missed else "ok"), (
+        f"{exact} of {found['cases']} recordings were named exactly; "
+        f"{len(judged) - missed} of {len(judged)} aims that this trial judges were reached.")
+
+
+def _reached(found: dict, name: str) -> bool | None:
+    """Whether a mark reached its aim; None without one, or where the trial does not judge it."""
+    (_, _, limit, more), value = MARKS[name], found["score"].get(name)
+    if value is None or limit is None:
+        return None
+    return value >= limit if more else value <= limit
+
+
 def marks(found: dict) -> Table:
-    """Return the marks, each beside its aim."""
-    rows = []
-    for name, (words, aim, limit, more) in MARKS.items():
+    """Return the marks, each beside its aim; those that no recording of the trial has, last."""
+    rows, kinds = [], {True: " good", False: " poor", None: ""}
+    for name, (words, aim, _, _) in MARKS.items():
         value = found["score"].get(name)
-        kind = ""
-        if value is not None and limit is not None:
-            kind = " good" if (value >= limit if more else value <= limit) else " poor"
-        rows.append((words, Cell(percent(value), f"value{kind}", mark=name), aim))
-    return table("mark | reached | aim", rows, " | value | number", "marks")
+        kind = kinds[_reached(found, name)]
+        rows.append((value is None,
+                     (words, Cell(percent(value), f"value{kind}", mark=name), aim)))
+    shown = [row for absent, row in rows if not absent]
+    absent = [row[0] for lacking, row in rows if lacking]
+    return table("mark | reached | aim", shown, " | value | number", "marks",
+                 f"Not judged by this trial: {'; '.join(absent)}." if absent else "")
 
 
 def groups(found: dict) -> list[Table]:

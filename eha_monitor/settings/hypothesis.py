@@ -121,7 +121,7 @@ def installed(name: str):
 
 def hypothesis_of(tree, source: str | Path) -> Hypothesis:
     """Return a hypothesis of a parsed tree; ``source`` names it in errors."""
-    if not isinstance(tree, dict):
+    if not isinstance(tree, dict) or not tree.keys() & Hypothesis.model_fields.keys():
         raise InputError(f"{source}: expected a hypothesis: name, adds ({', '.join(ADDED)}), "
                          "expression, parameters")
     return validated(Hypothesis, tree, source)

@@ -48,7 +48,11 @@ def load_settings(path: str | Path | None) -> Settings:
     InputError
         One line: file, key, what was expected.
     """
-    return Settings() if path is None else settings_from_tree(tree_of(path), str(path), True)
+    if path is None:
+        return Settings()
+    if not (tree := tree_of(path)):
+        raise InputError(f"{path}: expected a config, found none of its sections")
+    return settings_from_tree(tree, str(path), True)
 
 
 def settings_of(text: str, source: str) -> Settings:

@@ -68,15 +68,15 @@ def confusion_words(c: Confusion, advice: Advice) -> str:
     """Return a confusion as a sentence."""
     parameter, effect = SYMBOLS[c.parameter], effect_words(c.effect)
     unit = unit_of(c.parameter, advice)
-    share = 1.0 if c.named else rounded(c.amount) / c.amount
-    size = amount(share * c.amount, c.unit)
+    part = 1.0 if c.named else rounded(c.amount) / c.amount
+    size = amount(part * c.amount, c.unit)
     if abs(c.plateau_correlation) > HOPELESS:
         nearly = "" if c.plateau_inflation > HOPELESS_INFLATION else "nearly "
         text = (f"{parameter} and {effect} are {nearly}indistinguishable at constant speed "
-                f"({advice.plateaus:.0%} of this recording): correlation "
+                f"({share(advice.plateaus)} of this recording): correlation "
                 f"{abs(c.plateau_correlation):.3f}, variance inflation "
                 f"{number(c.plateau_inflation, 2)}; {parameter} may be off by "
-                f"{amount(share * abs(c.plateau_shift), unit)} for {size} of it")
+                f"{amount(part * abs(c.plateau_shift), unit)} for {size} of it")
         how = "between them" if c.named else "there"
         if abs(c.correlation) < HOPELESS:
             text += (f"; the changes of speed {how} distinguish them (correlation "
@@ -87,7 +87,7 @@ def confusion_words(c: Confusion, advice: Advice) -> str:
             f"{number(c.inflation, 2)}")
     if c.inflation > HARDLY:
         text += ": nearly indistinguishable in this recording"
-    shift = amount(share * abs(c.shift), unit)
+    shift = amount(part * abs(c.shift), unit)
     return (f"{text}; omitting the identified {size} would bias {parameter} by "
             f"{shift}" if c.named else
             f"{text}; omitting {size} of it would bias {parameter} by {shift}")
@@ -120,7 +120,7 @@ def blind_words(advice: Advice) -> list[str]:
         text = f"{effect_words(limit.effect)} would not show here"
         if math.isfinite(limit.visible) and limit.visible < 1e6 * limit.matters:
             text += f" below {amount(limit.visible, limit.unit, 2)}"
-            moved = [f"{SYMBOLS[name]} by {abs(shift):.0%}"
+            moved = [f"{SYMBOLS[name]} by {share(abs(shift))}"
                      for name, shift in limit.shifts.items() if abs(shift) > NOTABLE]
             if moved:
                 text += f", and would shift {listed(moved)}"
