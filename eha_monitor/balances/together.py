@@ -7,7 +7,7 @@ products of recording i, weighted, and T its settings' columns,
 
 e_i is the RMS on i under w_-i, its settings fitted on every other pair of blocks and judged on
 the rest.  A term enters with the largest mean of d_i = ln(e_i / e_i with it), if that is
-``gain`` at least with a t of ``repeats``.
+``gain`` at least with a t of ``repeats``; then all terms are tried for removal by the same rule.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -205,7 +205,9 @@ class Recordings:
         names = [one.name for one in self.candidates.values() if one.always]
         allowed = [name for name in allowed if name not in names]
         errors = self.errors(names)
-        while len(names) < MOST_TERMS:
+        tried = set()
+        while len(names) < MOST_TERMS and tuple(sorted(names)) not in tried:
+            tried.add(tuple(sorted(names)))
             best = None
             for name in allowed:
                 if name in names or self._has_variant(name, names) or (
@@ -218,7 +220,8 @@ class Recordings:
                     best = name, mean, with_it
             if best is None:
                 break
-            names, errors = self._reshaped([*names, best[0]], best[2], allowed)
+            names, errors = self._pruned([*names, best[0]], best[2], policy)
+            names, errors = self._reshaped(names, errors, allowed)
         return Chosen(tuple(names), errors, self._named(names, errors, allowed, policy))
 
     def _named(self, names: list[str], errors: np.ndarray, allowed: list[str], policy: Policy
@@ -260,6 +263,24 @@ class Recordings:
         shared, _, _ = self.split(names)
         reach = np.max([table.reach[shared] for table in self.tables], axis=0)
         return bool((np.abs(w) <= reach).all())
+
+    def _pruned(self, names: list[str], errors: np.ndarray, policy: Policy
+                ) -> tuple[list[str], np.ndarray]:
+        """Take out terms that no longer gain what a name owes, the least useful first."""
+        while True:
+            worst = None
+            for name in names:
+                if self.candidates[name].always:
+                    continue
+                rest = founded([other for other in names if other != name], self.candidates)
+                without_it = self.errors(rest)
+                mean, t = self.gain(without_it, errors)
+                if (mean < self.owed(name, policy) or t < policy.repeats) and (
+                        worst is None or mean < worst[0]):
+                    worst = mean, rest, without_it
+            if worst is None:
+                return names, errors
+            names, errors = worst[1:]
 
     def _reshaped(self, names: list[str], errors: np.ndarray, allowed: list[str]
                   ) -> tuple[list[str], np.ndarray]:
