@@ -14,7 +14,7 @@ from eha_monitor.dashboard import charts, words
 from eha_monitor.dashboard.detail import who_is
 from eha_monitor.dashboard.events import ACKNOWLEDGED, QUALITY, Change, EventLog
 from eha_monitor.dashboard.exports import estimates_csv
-from eha_monitor.dashboard.history import LongHistory, Span, thinned
+from eha_monitor.dashboard.history import History, Span, thinned
 from eha_monitor.dashboard.state import HEALTH_STALE_AFTER, State
 from eha_monitor.health.judge import Finding
 from eha_monitor.settings import Settings
@@ -178,7 +178,7 @@ def test_the_log_is_bounded_and_its_csv_holds_what_it_is_given():
 
 @given(st.lists(st.floats(0.01, 200.0), min_size=1, max_size=400))
 def test_a_long_history_keeps_extremes_order_and_bounds(steps):
-    history = LongHistory(100.0, 0.5, 2.0, long_span=2000.0, stretch=60.0)
+    history = History(100.0, 0.5, 2.0, long_span=2000.0, stretch=60.0)
     now, all_rows = 0.0, []
     for k, step in enumerate(steps):
         now += step

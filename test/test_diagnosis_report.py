@@ -34,6 +34,7 @@ from eha_monitor.reports.diagnosis_words import (
     head_words,
     message_words,
     next_steps,
+    not_in_config,
     pair_words,
     parameter_words,
     removed,
@@ -369,6 +370,15 @@ def test_config_takes_the_found_numbers_and_tells_what_it_cannot_hold(tmp_path):
     assert ("not in this config: intermittent_load: F = −95.2 ± 1.6 N at 3.2–5.1, 8.0–9.4, "
             "17.2–21.0 s; "
             "a config contains only permanent effects") in head
+
+
+def test_a_name_of_the_balances_alone_is_not_called_impermanent():
+    own = replace(coulomb().effects[0], name="pump_loss_by_direction", balance="flow")
+    found = replace(coulomb(), effects=(own,), config_effects={})
+    assert not_in_config(found) == {own.name: "the model that runs has no such term, only the "
+                                              "balances have"}
+    assert "pump loss by direction, for the model that runs has no" not in Page(
+        page_of(replace(found, verdict="unexplained"))).text  # nothing is written then
 
 
 @pytest.mark.parametrize(("found", "written", "words"), [

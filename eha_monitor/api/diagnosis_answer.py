@@ -170,13 +170,14 @@ def _named_physics(found: Diagnosis, tree: dict, missing: list[str]) -> list[str
     tree["effects"] = {name: values if is_own(values) else {
         key: rounded(value) for key, value in values.items() if math.isfinite(value)}
         for name, values in found.config_effects.items() if name in CATALOGUE or is_own(values)}
+    reasons = words.not_in_config(found)
     for effect in found.effects:
-        if effect.name not in tree["effects"]:
+        if effect.name in reasons:
             sizes = ", ".join(f"{name} = {words.value_words(value)}"
                               for name, value in effect.parameters.items())
             when = words.interval_words(effect.intervals_s)
-            missing.append(f"{effect.name}: {sizes}{f' at {when}' if when else ''}; a config "
-                           "contains only permanent effects")
+            missing.append(f"{effect.name}: {sizes}{f' at {when}' if when else ''}; "
+                           f"{reasons[effect.name]}")
     names = [effect.name for effect in found.effects if effect.name in tree["effects"]]
     lines = [f"effects: {', '.join(names)}"] if names else []
     return lines + [f"effects, learned: {term.statement}" for term in found.learned]

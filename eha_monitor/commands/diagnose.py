@@ -66,8 +66,9 @@ def diagnose(bags: tuple[Path, ...], config: Path | None, json_file: Path | None
     from eha_monitor.api.diagnosis_answer import completed, refusal, written_config
     from eha_monitor.api.read import distinct, finding_tree
     from eha_monitor.balances.machine_file import save
-    from eha_monitor.reports.diagnosis_words import channels_in_parts
+    from eha_monitor.reports.diagnosis_words import channels_in_parts, not_in_config
     from eha_monitor.settings.hypothesis import load_hypothesis
+    from eha_monitor.words import effect_words
 
     references = tuple(bag for one in references for bag in bags_of(one))
     distinct(bags, held_out, references, "--held-out")
@@ -102,6 +103,9 @@ def diagnose(bags: tuple[Path, ...], config: Path | None, json_file: Path | None
         write_text(config_file, written_config(found, given.settings, config))
         if not completed(found, given.settings)[1]:
             notes.append(f"{config_file}: the config as it was, since nothing was identified")
+        elif lacks := not_in_config(found):
+            notes += [f"{config_file}: without {effect_words(name)}: {why}; another diagnosis "
+                      "with it finds that again" for name, why in lacks.items()]
     if report_file:
         with common.working(f"drawing {report_file}"):
             found.report(report_file, command=command_line(

@@ -9,59 +9,31 @@ Row = tuple[float, ...]
 
 
 class History:
-    """Rows (time, value, ...) of the last ``span`` s, at most one each ``every`` s.
+    """The last rows (time, value, ...) densely, and of longer stretches before them the extremes.
 
     Parameters
     ----------
-    span : how long rows are kept, s.
-    every : least distance of two rows, s; with ``span`` it bounds the memory.
+    span : how long rows are kept densely, s.
+    every : one row in each such slot, s; with ``span`` it bounds the memory.
     gap : a longer distance is a gap, which a chart shows as one, s.
-    """
-
-    def __init__(self, span: float, every: float, gap: float):
-        self.span, self.every, self.gap = span, every, max(gap, 2.5 * every)
-        self._rows: deque[Row] = deque(maxlen=math.ceil(span / every) + 1)
-
-    def add(self, time_s: float, *values: float) -> None:
-        """Keep a row, unless one came just before; time that jumps back starts anew."""
-        if self._rows:
-            since = time_s - self._rows[-1][0]
-            if 0 <= since < self.every * (1 - 1e-6):
-                return
-            if since < 0:
-                self._rows.clear()
-        self._rows.append((time_s, *values))
-
-    def rows(self, now: float | None = None) -> list[Row]:
-        """Return the rows of the last ``span`` s before ``now`` (default: the last row).
-
-        Where data were missing stands a row of NaN, at which a line breaks.
-        """
-        if not self._rows:
-            return []
-        oldest = (self._rows[-1][0] if now is None else now) - self.span
-        return _with_gaps([row for row in self._rows if row[0] >= oldest], self.gap)
-
-
-class LongHistory:
-    """The last minutes densely, and what was before them as extremes of longer stretches.
-
-    Parameters
-    ----------
-    span, every, gap : of the dense part, see :class:`History`, s.
-    long_span : how long the extremes are kept, s.
+    long_span : how long the extremes are kept, s; 0 keeps none.
     stretch : of each such stretch the rows with the least and the largest value are kept, s.
     """
 
-    def __init__(self, span: float, every: float, gap: float, long_span: float, stretch: float):
+    def __init__(self, span: float, every: float, gap: float, long_span: float = 0.0,
+                 stretch: float = math.inf):
         self.span, self.every, self.stretch = span, every, stretch
         self.gap = max(gap, 2.5 * every)
         self._dense: deque[Row] = deque(maxlen=math.ceil(span / every) + 1)
-        self._old: deque[list[Row]] = deque(maxlen=math.ceil(long_span / stretch) + 1)
+        self._old: deque[list[Row]] = deque(maxlen=math.ceil(
+            long_span / stretch) + 1 if long_span else 0)
 
     def add(self, time_s: float, *values: float) -> None:
-        """Keep a row; ``time_s`` on a clock that never jumps."""
+        """Keep a row; time that jumps back starts anew."""
         row = (time_s, *values)
+        if self._dense and time_s < self._dense[-1][0]:
+            self._dense.clear()
+            self._old.clear()
         # Slots that lie fixed in time: series that come together are kept together.
         if not self._dense or time_s // self.every != self._dense[-1][0] // self.every:
             self._dense.append(row)
@@ -72,6 +44,8 @@ class LongHistory:
 
     def rows(self, since: float = -math.inf) -> list[Row]:
         """Return the rows from ``since`` on; a row of NaN stands where data were missing."""
+        if self._dense and not self._old:
+            since = max(since, self._dense[-1][0] - self.span)
         dense = [row for row in self._dense if row[0] >= since]
         if self._dense and since >= self._dense[0][0]:
             return _with_gaps(dense, self.gap)

@@ -18,7 +18,7 @@ from eha_monitor.dashboard.events import (
     since,
     write_acknowledgements,
 )
-from eha_monitor.dashboard.history import History, LongHistory, Row
+from eha_monitor.dashboard.history import History, Row
 from eha_monitor.errors import InputError
 from eha_monitor.health.alarms import ALARM_NAMES, SEVERITY, WATCHED
 from eha_monitor.health.judge import Finding
@@ -121,10 +121,10 @@ class State:
         self._hardware = settings.rig.name
         gap = settings.monitor.stale_after
         self._histories = {
-            **{w.symbol: LongHistory(ESTIMATES_SPAN, ESTIMATES_EVERY, gap, LONG_SPAN, STRETCH)
+            **{w.symbol: History(ESTIMATES_SPAN, ESTIMATES_EVERY, gap, LONG_SPAN, STRETCH)
                for w in WATCHED},
             **{name: History(POSITION_SPAN, POSITION_EVERY, gap) for name in self._positions},
-            **{stage: LongHistory(ESTIMATES_SPAN, ESTIMATES_EVERY, HEALTH_STALE_AFTER, LONG_SPAN,
+            **{stage: History(ESTIMATES_SPAN, ESTIMATES_EVERY, HEALTH_STALE_AFTER, LONG_SPAN,
                                   STRETCH) for stage in STAGES}}
         if file is not None:
             self._try(lambda: self._before.update(acknowledgements(file)))

@@ -379,8 +379,8 @@ def _for_config(found: Diagnosis, settings: Settings) -> dict[str, Any]:
              *(["effects:"] if effects else []),
              *(f"  {name}: {text}" for name, text in effects.items())]
     return {"config_lines": "\n".join(lines),
-            "config_lacks": listed([effect_words(effect.name) for effect in found.effects
-                                    if effect.name not in found.config_effects])}
+            "config_lacks": "; ".join(f"{effect_words(name)}, for {why}"
+                                      for name, why in words.not_in_config(found).items())}
 
 
 def _flow_text(values: dict) -> str:

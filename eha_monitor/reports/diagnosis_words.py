@@ -3,7 +3,14 @@
 import math
 import re
 
-from eha_monitor.mismatch.diagnosis import Change, Diagnosis, RigFinding, SignalFit, Value
+from eha_monitor.mismatch.diagnosis import (
+    Change,
+    Diagnosis,
+    NamedEffect,
+    RigFinding,
+    SignalFit,
+    Value,
+)
 from eha_monitor.mismatch.policy import POLICY
 from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.quantity import (
@@ -17,6 +24,7 @@ from eha_monitor.quantity import (
     with_uncertainty,
 )
 from eha_monitor.settings.channels import CHANNELS
+from eha_monitor.settings.own_terms import is_own
 from eha_monitor.settings.rig import Rig, Tolerance
 from eha_monitor.units import LARGEST
 from eha_monitor.words import PARAMETER_WORDS, effect_words, listed, probability
@@ -169,6 +177,20 @@ def _look_for(change: Change) -> str:
     if change.what in CATALOGUE:
         return CATALOGUE[change.what].rig_check
     return LOOK_FOR.get((change.what, change.now.value > change.reference.value), "")
+
+
+def not_in_config(found: Diagnosis) -> dict[str, str]:
+    """Return the effects that the config of a diagnosis does not contain, each with the reason."""
+    def why(effect: NamedEffect) -> str:
+        if found.references:
+            return "what has changed is the machine's, not the config's"
+        return ("a config contains only permanent effects"
+                if effect.intervals_s or effect.name in CATALOGUE else
+                "the model that runs has no such term, only the balances have")
+
+    written = {name for name, values in found.config_effects.items()
+               if name in CATALOGUE or is_own(values)}
+    return {effect.name: why(effect) for effect in found.effects if effect.name not in written}
 
 
 def rivals(names: tuple[str, ...]) -> str:
