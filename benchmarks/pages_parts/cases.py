@@ -4,6 +4,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
+
 from eha_monitor.api.answer import judged
 from eha_monitor.estimation.joint import observability
 from eha_monitor.estimation.pipeline import estimate
@@ -97,6 +99,15 @@ def missing(tree: dict, name: str, hypothesis: bool = False) -> Callable:
     return made
 
 
+def bent(_: Folder) -> tuple:
+    """Diagnose pressures whose amplifiers bend from the middle on, which nothing names."""
+    whole = recorded(plant(), 8.0, name="bent")
+    late = np.arange(len(whole)) * whole.sample_time > 4.0
+    push = 4e5 * np.maximum(whole.get("x") - 5e-3, 0.0) ** 0.5 * late  # Pa
+    return diagnose([replace(whole, channels=whole.channels | {
+        "p1": whole.get("p1") + push, "p2": whole.get("p2") - 3.0 * push**0.9})], PAPER), PAPER
+
+
 def hidden(_: Folder) -> tuple:
     """Diagnose the bundled recording of the README."""
     return diagnose([from_bags("hidden_friction")], PAPER), PAPER
@@ -176,6 +187,7 @@ CASES: dict[str, tuple[Callable, Callable]] = {
     "estimate_few_channels": (few_channels, lambda found, _: estimate_page(*found)),
     "diagnosis_mismatch": (hidden, diagnosis),
     "diagnosis_consistent": (missing(plant(), "nothing_missing"), diagnosis),
+    "diagnosis_unexplained": (bent, diagnosis),
     "diagnosis_learned": (missing(plant({"worn_spot": SPOT | SPOT_IS}), "worn"), diagnosis),
     "diagnosis_hypothesis": (missing(plant({"worn_spot": SPOT | SPOT_IS}), "worn", True),
                              diagnosis),
