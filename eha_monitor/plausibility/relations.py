@@ -251,7 +251,10 @@ def force_balance(reading: Reading) -> list[Check] | None:
     if inertia is not None:
         mass = reading.rig["mass"]
         unit = "kg·m²" if reading.rotary else "kg"
-        penalty = cost(inertia.slope / mass, inertia.rho, SPREAD["mass"])
+        # Friction and oil that the motion does not explain draw a slope of their own: one that is
+        # too large, and explains less than they leave, is no mass.
+        theirs = inertia.slope > mass and inertia.rho**2 < 0.5
+        penalty = 0.0 if theirs else cost(inertia.slope / mass, inertia.rho, SPREAD["mass"])
         found.append(Check("inertia", penalty, Phrase(
             f"{name} over acceleration is a mass of {figure(inertia.slope)} {unit} where the "
             f"config says {figure(mass)}", f"{figure(inertia.slope)} {unit}"), Phrase(
