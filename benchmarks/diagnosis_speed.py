@@ -4,10 +4,9 @@
 
 N concealed draws of each kind in :data:`KINDS`, 24 s each on drawn rigs whose configs are exact,
 within their tolerances or off in one number: seconds of processor of a process that reads and
-diagnoses, median and worst of each kind, with the filter's runs (plain ones, and passes that carry
-tangents of many parameters side by side) and what was named, beside how many plain filterpy steps
-the same processor takes in a second before, between and after.  Longer recordings:
-``long_recordings.py``.
+diagnoses, median and worst of each kind, with the filter's runs and what was named, beside how
+many plain filterpy steps the same processor takes in a second before, between and after.  Longer
+recordings: ``long_recordings.py``.
 """
 
 import argparse
@@ -39,33 +38,25 @@ KINDS = {
 MEDIAN, WORST = 10.0, 30.0  # s of processor that a draw may take
 
 
-def filter_runs(bags: list[Path], config: Path) -> tuple[int, int, "Diagnosis"]:
-    """Return how often the filter ran, how many passes carried tangents, and the answer."""
+def filter_runs(bags: list[Path], config: Path) -> tuple[int, "Diagnosis"]:
+    """Return how often the filter ran, and the answer."""
     from eha_monitor.mismatch.diagnose import diagnose
-    from eha_monitor.mismatch.likelihood import fit, tangents
-    from eha_monitor.mismatch.name import columns
+    from eha_monitor.mismatch.likelihood import fit
     from eha_monitor.recordings.read import read_recording
     from eha_monitor.settings import load_settings
 
-    counts = {"filtered": 0, "carry": 0}
+    runs, innovate = 0, fit.innovate
 
-    def counting(name, function):
-        def counted(*arguments, **options):
-            counts[name] += 1
-            return function(*arguments, **options)
-        return counted
+    def counted(*arguments):
+        nonlocal runs
+        runs += 1
+        innovate(*arguments)
 
-    places = (("filtered", fit.filtered, (fit, columns)),
-              ("carry", tangents.Track.carry, (tangents.Track,)))
-    for name, function, modules in places:
-        for module in modules:
-            setattr(module, name, counting(name, function))
+    fit.innovate = counted
     settings = load_settings(config)
     found = diagnose([read_recording(bag, settings) for bag in bags], settings)
-    for name, function, modules in places:
-        for module in modules:
-            setattr(module, name, function)
-    return counts["filtered"], counts["carry"], found
+    fit.innovate = innovate
+    return runs, found
 
 
 def draw(kind: str, i: int, seed: int, folder: Path) -> tuple[list[Path], Path, str]:
@@ -97,7 +88,7 @@ def draw(kind: str, i: int, seed: int, folder: Path) -> tuple[list[Path], Path, 
 def draws_table(count: int, seed: int) -> Table:
     """Diagnose draws of every kind, each in a process of its own."""
     table = Table(title=f"diagnose on concealed draws, seed {seed}")
-    for column in ("concealed", "answer", "processor, s", "runs + tangent passes", "has to be"):
+    for column in ("concealed", "answer", "processor, s", "runs of the filter", "has to be"):
         table.add_column(column)
     rates, every = [1.0 / record.plain_filterpy_cost(4)], []
     with tempfile.TemporaryDirectory() as name:
@@ -113,7 +104,7 @@ def draws_table(count: int, seed: int) -> Table:
                 spans.append(after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime)
                 one = json.loads(made.splitlines()[-1])
                 table.add_row(concealed, one["answer"], f"{spans[-1]:.1f}",
-                              f"{one['runs']} + {one['passes']}", "")
+                              str(one["runs"]), "")
             rates.append(1.0 / record.plain_filterpy_cost(4))
             every += spans
             table.add_row(f"[bold]{kind}", "median, worst",
@@ -127,9 +118,9 @@ def draws_table(count: int, seed: int) -> Table:
 
 def one_draw(config: Path, bags: list[Path]) -> None:
     """Diagnose recordings and print what was named and what it took."""
-    runs, passes, found = filter_runs(bags, config)
+    runs, found = filter_runs(bags, config)
     names = [effect.name for effect in found.effects] + [one.key for one in found.rig_data]
-    print(json.dumps({"runs": runs, "passes": passes,
+    print(json.dumps({"runs": runs,
                       "answer": ": ".join(filter(None, (found.verdict, ", ".join(names))))}))
 
 

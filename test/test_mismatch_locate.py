@@ -28,6 +28,10 @@ from eha_monitor.mismatch.name.starts import limits_of
 from eha_monitor.physics import signals as s
 
 
+def curves_in(case, after):
+    return latent_curves(case.experiment, missing_terms(case.experiment, case.before, after))
+
+
 def curve_of(curves, against, balance="force"):
     return next(c for c in curves if c.against == against and c.balance == balance)
 
@@ -112,7 +116,7 @@ def test_a_rival_beside_the_filter_is_worth_what_the_whole_filter_says():
 
 def test_coulomb_friction_shows_as_forty_newtons_either_way():
     case = fitted("coulomb_friction", motion="rich")
-    curves = latent_curves(case.experiment, case.before, case.after)
+    curves = curves_in(case, case.after)
     assert {c.against for c in curves} == {"time", "velocity", "position",
                                            "pressure_difference", "pump_speed"}
     curve = curve_of(curves, "velocity")
@@ -172,7 +176,7 @@ def test_named_effects_share_by_their_evidence_and_sensors_have_a_curve():
     assert where.balance == {"force": 0.25, "flow": 0.0, "drive": 0.0, "sensor": 0.75}
     assert where.regime == "always"
     assert where.intervals_s == ((0.0, 24.0),)
-    curve = curve_of(latent_curves(case.experiment, case.before, case.after), "velocity",
+    curve = curve_of(curves_in(case, case.after), "velocity",
                      "sensor")
     assert curve.unit == "Pa"
     assert np.median(curve.measured) == pytest.approx(4e4, rel=0.05)
@@ -187,7 +191,7 @@ def test_named_effects_share_by_their_evidence_and_sensors_have_a_curve():
 ])
 def test_measured_follows_modelled_where_the_name_is_right(effect, unit, against, size):
     case = fitted(effect, motion="rich" if effect == "external_leakage" else "short")
-    curves = [c for c in latent_curves(case.experiment, case.before, case.after)
+    curves = [c for c in curves_in(case, case.after)
               if c.against == against]
     curve, = curves
     assert curve.unit == unit
@@ -230,7 +234,7 @@ def test_reversals_and_jitter_at_rest():
 
 def test_without_a_name_every_unknown_has_its_curve():
     case = fitted("sticking_place", told=False)
-    curves = latent_curves(case.experiment, case.before, None)
+    curves = curves_in(case, None)
     assert {c.balance for c in curves} == {"force", "flow", "drive"}
     assert all((c.modelled == 0.0).all() for c in curves)
     assert np.abs(curve_of(curves, "position").measured).max() > 10.0

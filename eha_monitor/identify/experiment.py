@@ -115,7 +115,7 @@ def seen(experiment: Experiment, fit: Fit) -> Fit:
     """Return a fit with the gains and innovations of other sensors, the rig at rest."""
     x = float(np.nanmean(experiment.stretches[0].z[:, 0]))
     rest = demanded(experiment, "rest", np.full(len(experiment.stretches[0]), x))
-    return with_unknowns(simulated(rest, fit, 0), fit, fit.unknowns)
+    return with_unknowns(simulated(rest, fit), fit, fit.unknowns)
 
 
 DECIDED, INSEPARABLE, TIME, ABORTED = "decided", "inseparable", "time", "aborted"

@@ -377,14 +377,14 @@ def assemble(recordings: list[Recording], shown: Experiment, naming: Naming, sta
         evidence.pop(told.name, None)
         evidence |= {f"{locate.LEARNED}{told.missing.balance}": told.gained}
         where = locate.location_of(experiment, before, after, evidence, [told.missing])
-        curves = locate.latent_curves(experiment, before, after, [told.missing])
+        curves = locate.latent_curves(experiment, [told.missing])
     else:
         base = nearest if open_end else before
         terms = missing_terms(experiment, base, after if effects else None)
         named = verdict == "mismatch"  # else it is what has no name that is looked for
         where = locate.location_of(experiment, base, nearest, evidence if named else {},
                                    terms if named else None)
-        curves = locate.latent_curves(experiment, base, nearest, terms)
+        curves = locate.latent_curves(experiment, terms)
     known = values_of(experiment, before), values_of(experiment, after)
     parts = show.agreement(experiment, before, after)
     if open_end:

@@ -31,15 +31,6 @@ def slot_of(which: int) -> slice:
     return slice(start, start + WIDTH)
 
 
-def effect_at(place: int) -> int:
-    """Return which effect or own term a place in theta belongs to; -1 the base parameters."""
-    if place < N_BASE:
-        return -1
-    if place < FIRST_OWN:
-        return (place - N_BASE) // MAX_PARAMETERS
-    return len(NAMES) + (place - FIRST_OWN) // WIDTH
-
-
 def _parameters(which: int) -> str:
     """Return the parameters of an effect or own term out of theta, as source."""
     own = slot_of(which)

@@ -333,7 +333,7 @@ def rival_fits(naming: Naming) -> dict[str, Fit]:
     return found
 
 
-def advice_for(experiment: Experiment, naming: Naming, check: bool = False) -> tuple[str, ...]:
+def advice_for(experiment: Experiment, naming: Naming) -> tuple[str, ...]:
     """Return the advice of a diagnosis in sentences, quickly: its doubts and the usual ones."""
-    return sentences(advice(experiment, naming.after, naming.rivals, rival_fits(naming), check,
+    return sentences(advice(experiment, naming.after, naming.rivals, rival_fits(naming), False,
                             thorough=False))

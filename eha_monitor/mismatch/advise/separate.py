@@ -26,9 +26,9 @@ from eha_monitor.physics.effects import CATALOGUE, NAMES
 from eha_monitor.physics.parameters import effect_values, place_of
 
 
-def simulated(experiment: Experiment, fit: Fit, seed: int) -> Experiment:
+def simulated(experiment: Experiment, fit: Fit) -> Experiment:
     """Return the experiment with the fitted model's own outputs in place of the measured ones."""
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     parts = []
     for stretch in experiment.stretches:
         clean = free_run(experiment, stretch, fit)
@@ -320,7 +320,7 @@ def joined(first: Motion, second: Motion) -> Motion:
 
 
 def checked(experiment: Experiment, fit: Fit, question: Question, motion: Motion,
-            limits: Limits, seed: int = 0) -> Check:
+            limits: Limits) -> Check:
     """Simulate a motion with the effect and noise, fit both models, and compare.
 
     The recording's own motion is simulated with it, where both are driven alike: the two are
@@ -330,7 +330,7 @@ def checked(experiment: Experiment, fit: Fit, question: Question, motion: Motion
     there = planned(experiment, truth, limits, motion)
     both = there.only((*experiment.stretches, *there.stretches)
                       if experiment.mode == there.mode else there.stretches)
-    data = simulated(both, truth, seed)
+    data = simulated(both, truth)
     right = settled(data, with_unknowns(data, truth))
     wrong = settled(data, with_unknowns(data, question.other, right.unknowns))
     # What the recording itself lacks is not in the simulation: predicted for its conditions.

@@ -213,21 +213,15 @@ def units_of(experiment: Experiment, fit: Fit) -> dict[str, float]:
                     (experiment.policy.matters * small).tolist(), strict=True))
 
 
-def columns_with(experiment: Experiment, fit: Fit, tables: Sequence[Table],
-                 suspects: bool = False) -> Columns:
-    """Return the columns at a fit with those of every knot of tables, a group for each.
-
-    Parameters
-    ----------
-    suspects : also the effects that the model does not have.
-    """
+def columns_with(experiment: Experiment, fit: Fit, tables: Sequence[Table]) -> Columns:
+    """Return the columns at a fit with those of every knot of tables, a group for each."""
     tracks, terms = filtered_tracks(experiment, fit), []
     for one in tables:
         form = one.form
         terms.append(Unnamed(form.name, UNKNOWN[form.adds], form.of, tuple(
             cardinal(signal_along(track, form.of), KNOTS, one.first, one.last, form.periodic)
             * factor_along(track, form.times, one.scale)[:, None] for track in tracks)))
-    return columns_at(experiment, fit, suspects=suspects, terms=terms)
+    return columns_at(experiment, fit, suspects=False, terms=terms)
 
 
 def free_slot(experiment: Experiment) -> int | None:

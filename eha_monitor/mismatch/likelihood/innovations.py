@@ -95,8 +95,7 @@ def innovate(record, step, theta, active, correction, actuator, e, states):
     correction : :class:`Correction`.
     actuator : at the start, carried on.
     e : (n, N_OUTPUTS) written: innovations, NaN where nothing was measured.
-    states : (n, N_FILTERED) written after the correction, or (0, N_FILTERED) where not wanted;
-        with two more columns for each active effect that remembers, its memory.
+    states : (n, N_FILTERED) written after the correction, or (0, N_FILTERED) where not wanted.
     """
     mode, z, u, pressures, role = record
     gains, decay = correction
@@ -145,9 +144,6 @@ def innovate(record, step, theta, active, correction, actuator, e, states):
         if states.shape[0]:
             for i in range(N_FILTERED):
                 states[k, i] = y[i]
-            for i in range((states.shape[1] - N_FILTERED) // 2):
-                states[k, N_FILTERED + 2 * i] = memory[updates[i], 0]
-                states[k, N_FILTERED + 2 * i + 1] = memory[updates[i], 1]
         if mode == FORCED:
             advance_forced(actuator, t, k, u, pressures, step, equations)
         else:

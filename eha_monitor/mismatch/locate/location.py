@@ -318,18 +318,8 @@ LEFT = 30.0  # times the smallest unknowns: the named effects leave something be
 LEARNED = "learned."  # before the balance of a term that was learned
 
 
-def latent_curves(experiment: Experiment, before: Fit, after: Fit | None,
-                  terms: Sequence[Missing] | None = None) -> tuple[Curve, ...]:
-    """Return the missing term against time, velocity, position, pressure difference and speed.
-
-    Parameters
-    ----------
-    before : nominal model, fitted.
-    after : with the named effects; None, or without names, where nothing explains the mismatch:
-        then the unknown force, flow and speed are shown beside a modelled term of zero.
-    terms : :func:`missing_terms`, where they are at hand.
-    """
-    terms = missing_terms(experiment, before, after) if terms is None else terms
+def latent_curves(experiment: Experiment, terms: Sequence[Missing]) -> tuple[Curve, ...]:
+    """Return missing terms against time, velocity, position, pressure difference and speed."""
     return tuple(curve for term in terms for curve in curves_of(experiment, term))
 
 

@@ -16,10 +16,9 @@ from itertools import pairwise
 
 import numpy as np
 
-from eha_monitor.mismatch.data.experiment import Experiment, damping_steps
+from eha_monitor.mismatch.data.experiment import Experiment
 from eha_monitor.mismatch.data.inputs import CLOSED, FORCED
 from eha_monitor.mismatch.likelihood.fit import Fit, Free, filtered, spread, step_of
-from eha_monitor.mismatch.likelihood.tangents import Lane, along_into, can
 from eha_monitor.mismatch.name.candidates import RIG, candidate
 from eha_monitor.mismatch.name.starts import (
     Start,
@@ -32,7 +31,6 @@ from eha_monitor.mismatch.name.starts import (
 from eha_monitor.mismatch.name.unnamed import Unnamed, columns_of, unnamed_of
 from eha_monitor.physics.effects import CATALOGUE, NAMES
 from eha_monitor.physics.parameters import BASE_KEYS, effect_values
-from eha_monitor.physics.signals import B
 from eha_monitor.settings.rig import Tolerance
 
 ALWAYS = ""  # owner of what every model has
@@ -42,7 +40,6 @@ ASTRAY, ASTRAY_OWNER = 1e30, "astray"  # a run that went astray says nothing
 LOOSE = 0.1  # of a logarithm: a number that may be off by so much does not act in proportion
 FAR_OFF = 5.0  # of its deviations: where such a number is tried, either way
 REPLACING = 100  # variants from here on grow out of an effect that the model has
-COARSER = 3.0  # times the integration step, for differences
 
 
 @dataclass(frozen=True)
@@ -82,13 +79,11 @@ class Columns:
     ----------
     what : (m - 1 + k,) whose they are.
     values : for each stretch (n, c, m), innovations first.
-    runs : of the filter that they cost.
     copies : (k,) (place, factor) of columns that are others times a factor.
     """
 
     what: tuple[Column, ...]
     values: list[np.ndarray]
-    runs: int
     copies: tuple[tuple[int, float], ...] = ()
 
 
@@ -128,17 +123,6 @@ def runs_of(experiment: Experiment, theta: np.ndarray, active: np.ndarray, gains
     """
     return [np.ascontiguousarray(filtered(experiment, stretch, theta, active, gains)[0][
         :, experiment.columns]) for stretch in experiment.stretches]
-
-
-def coarse(experiment: Experiment) -> Experiment:
-    """Return the experiment with integration steps that do for differences.
-
-    A slope that is one per cent off leads to the same optimum; the innovations themselves are
-    taken with the fine steps.
-    """
-    least = damping_steps(experiment.settings, 2.0 * experiment.theta[B], experiment.dt)
-    steps = max(int(np.ceil(experiment.steps / COARSER)), int(np.ceil(0.75 * least)), 1)
-    return replace(experiment, steps=min(steps, experiment.steps))
 
 
 def columns_at(experiment: Experiment, fit: Fit, unnamed: bool = True, suspects: bool = True,
@@ -198,34 +182,19 @@ def columns_at(experiment: Experiment, fit: Fit, unnamed: bool = True, suspects:
     bounds = np.cumsum([0, *map(len, present)])
     block = np.empty((bounds[-1], present[0].shape[1], 1 + len(moves) + sum(sizes)))
     values = [block[first:last] for first, last in pairwise(bounds)]
-    rough = coarse(experiment)
-    plain = runs_of(rough, fit.theta, fit.active, fit.gains)
-
-    lanes = [Lane(*move) for move in moves]
-    able = [i for i, lane in enumerate(lanes) if can(experiment, fit, lane)]
-    if able:
-        along_into(experiment, fit, [lanes[i] for i in able], values, [1 + i for i in able])
-    keep = [True] * len(moves)
-    for place in able:
-        keep[place] = all(tame(into[:, :, 1 + place], part)
-                          for into, part in zip(values, present, strict=True))
-        for into in values if not keep[place] else ():
-            into[:, :, 1 + place] = 0.0
 
     def one(place: int) -> bool:
         theta, active, units = moves[place]
         good = True
-        for into, run, before, part in zip(values, runs_of(rough, theta, active, fit.gains),
-                                           plain, present, strict=True):
-            np.subtract(run, before, out=run)
+        for into, run, part in zip(values, runs_of(experiment, theta, active, fit.gains), present,
+                                   strict=True):
+            np.subtract(run, part, out=run)
             run /= units
             good &= tame(run, part)
             into[:, :, 1 + place] = run if good else 0.0
         return good
 
-    others = [i for i in range(len(moves)) if i not in set(able)]
-    for place, good in zip(others, spread(one, others), strict=True):
-        keep[place] = good
+    keep = spread(one, range(len(moves)))
     for into, part in zip(values, present, strict=True):
         into[:, :, 0] = part
     if terms:
@@ -240,7 +209,7 @@ def columns_at(experiment: Experiment, fit: Fit, unnamed: bool = True, suspects:
     what += [Column(what[i].name, -1 if what[i].name in fit.named else 0, what[i].name,
                     free=what[i].free, size=True, step=far * what[i].free.spread)
              for i in wrong]
-    return Columns(tuple(what), values, len(others) + 2, copies)
+    return Columns(tuple(what), values, copies)
 
 
 def tame(column: np.ndarray, present: np.ndarray) -> bool:
@@ -297,7 +266,8 @@ def entering(fit: Fit, start: Start, variant: int, what: list, moves: list) -> N
                            free_parameter(start, p), start, True))
         moves.append((theta, active, 1.0))
         return
-    smooth = start.among == 1 and all(np.isfinite(p.neutral) for p in sizes)
+    smooth = all(np.isfinite(p.neutral) and (start.among == 1 or p.unit not in ("s", "m"))
+                 for p in sizes)
     share = TANGENT if smooth else 1.0
     for p, (theta, active) in zip(sizes, directions_of(fit, start, share), strict=True):
         f = free_parameter(start, p)

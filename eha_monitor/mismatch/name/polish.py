@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from eha_monitor.mismatch.data.experiment import Experiment
+from eha_monitor.mismatch.data.experiment import Experiment, damping_steps
 from eha_monitor.mismatch.likelihood.fit import (
     Fit,
     Free,
@@ -17,15 +17,26 @@ from eha_monitor.mismatch.likelihood.fit import (
     step_within,
     whitener,
 )
-from eha_monitor.mismatch.likelihood.tangents import along, can, lane_of
-from eha_monitor.mismatch.name.columns import ALWAYS, Columns, coarse
+from eha_monitor.mismatch.name.columns import ALWAYS, Columns
 from eha_monitor.mismatch.name.gram import under
+from eha_monitor.physics.signals import B
 
-ENOUGH = 6  # slopes from which one pass of tangents costs less than as many differences
 # Of a step: shorter first, because inside a threshold the direction is right and the length not.
 SHARES = (1.0, 0.3, 0.1, 0.03)
+COARSER = 3.0  # times the integration step, for differences
 LARGEST = 1e100  # slope of an innovation that is a slope; its square must still be a number
 ROUGHLY = 5.0  # log units: a tolerance at which slopes are not taken afresh
+
+
+def coarse(experiment: Experiment) -> Experiment:
+    """Return the experiment with integration steps that do for differences.
+
+    A slope that is one per cent off leads to the same optimum; the innovations themselves are
+    taken with the fine steps.
+    """
+    least = damping_steps(experiment.settings, 2.0 * experiment.theta[B], experiment.dt)
+    steps = max(int(np.ceil(experiment.steps / COARSER)), int(np.ceil(0.75 * least)), 1)
+    return replace(experiment, steps=min(steps, experiment.steps))
 
 
 class Slopes:
@@ -60,7 +71,6 @@ class Slopes:
         return self._in_units(wanted, whole)
 
     def _in_units(self, wanted: list[Free], whole: np.ndarray) -> dict[str, np.ndarray]:
-        # Tangents grow without bound along a run that a finite step leaves where it is.
         usable = np.abs(whole).max(axis=(0, 1)) < LARGEST  # nor is NaN
         return {f.name: whole[:, :, i] / self.spreads[self.places[f.name]]
                 for i, f in enumerate(wanted) if usable[i]}
@@ -96,19 +106,6 @@ def _polished(experiment: Experiment, fit: Fit, known: dict[str, np.ndarray], st
     rough = coarse(experiment)
 
     def taken(which: list[int]) -> None:
-        here = replace(fit, theta=theta)
-        lanes = {i: lane_of(here, free[i].name) for i in which}
-        exact = [i for i in which if can(experiment, here, lanes[i])]
-        if len(exact) >= ENOUGH:
-            for steps_of in (rough, experiment):  # what runs away in coarse steps, in fine ones
-                parts = along(steps_of, here, [lanes[i] for i in exact])
-                whole = np.concatenate([part[stretch.counted] for part, stretch in zip(
-                    parts, experiment.stretches, strict=True)])
-                if not np.isinf(whole).any():
-                    break
-            for place, i in enumerate(exact):
-                d[i] = np.nan_to_num(whole[:, :, place])
-            which = [i for i in which if i not in exact]
         if not which:
             return
         plain = innovations(rough, theta, fit.active, fit.gains)
@@ -168,7 +165,7 @@ def _polished(experiment: Experiment, fit: Fit, known: dict[str, np.ndarray], st
                 break
             taken(every)
             fresh = True
-        else:  # near the optimum a step leaves exact slopes as good as exact
+        else:  # near the optimum a step leaves fresh slopes as good as fresh
             fresh = fresh and gained < ROUGHLY
     covariance = fit.covariance
     if information is not None:

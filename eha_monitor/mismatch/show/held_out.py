@@ -132,15 +132,13 @@ def whiteness(experiment: Experiment, fit: Fit) -> np.ndarray:
     return found
 
 
-def shown(experiment: Experiment, before: Fit, after: Fit | None,
-          window: float = WINDOW) -> dict[str, SignalFit]:
+def shown(experiment: Experiment, before: Fit, after: Fit | None) -> dict[str, SignalFit]:
     """Return how far both models miss what they have not seen, signal by signal.
 
     Parameters
     ----------
     experiment : with held-out samples, or another recording of the rig without.
     after : the model with the named effects; None where there is none: then as before.
-    window : length of the free runs, s.
 
     Returns
     -------
@@ -149,7 +147,7 @@ def shown(experiment: Experiment, before: Fit, after: Fit | None,
         and ``force`` where the force drives the model.
     """
     models = [before] if after is None or after is before else [before, after]
-    runs = [free_runs(experiment, fit, window) for fit in models]
+    runs = [free_runs(experiment, fit) for fit in models]
     white = spread(lambda fit: whiteness(experiment, fit), models)
     found = {}
     for j in experiment.columns:
@@ -315,14 +313,13 @@ def driving_force(experiment: Experiment, fit: Fit, stretch) -> np.ndarray:
     return fit.theta[s.AREA_1] * stretch.p1 - fit.theta[s.AREA_2] * stretch.p2
 
 
-def overlays(experiment: Experiment, before: Fit, after: Fit | None,
-             window: float = OVERLAY) -> tuple[Overlay, ...]:
+def overlays(experiment: Experiment, before: Fit, after: Fit | None) -> tuple[Overlay, ...]:
     """Return for each signal the held-out second in which the model before is worst.
 
     Both models run free in it.
     """
-    run_1 = free_runs(experiment, before, window)
-    run_2 = run_1 if after is None else free_runs(experiment, after, window)
+    run_1 = free_runs(experiment, before, OVERLAY)
+    run_2 = run_1 if after is None else free_runs(experiment, after, OVERLAY)
     found = []
     for j in experiment.columns:
         errors = []
@@ -361,16 +358,13 @@ def parts_of(experiment: Experiment, tracks: list[np.ndarray]
     return found
 
 
-def agreement(experiment: Experiment, before: Fit, after: Fit | None,
-              tracks: list[np.ndarray] | None = None) -> tuple[Agreement, ...]:
+def agreement(experiment: Experiment, before: Fit, after: Fit | None) -> tuple[Agreement, ...]:
     """Return B and beta_e from parts of the record, all else held.
 
-    A model that lacks nothing finds the same in each of them.  ``tracks`` : signals along each
-    stretch, (n, N_SIGNALS) each, where they are at hand; else the filter's.
+    A model that lacks nothing finds the same in each of them.
     """
     models = [before] if after is None or after is before else [before, after]
-    parts = parts_of(experiment, filtered_tracks(experiment, models[-1])
-                     if tracks is None else tracks)
+    parts = parts_of(experiment, filtered_tracks(experiment, models[-1]))
 
     def one(task: tuple[list[np.ndarray], Fit]) -> dict[str, Value]:
         masks, fit = task

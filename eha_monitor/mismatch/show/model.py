@@ -96,7 +96,7 @@ def between_models(known: dict[str, Value], naming: Naming) -> dict[str, Value]:
     return found
 
 
-def robust(experiment: Experiment, fit: Fit, block: float = BLOCK, of_rig: bool = True) -> Fit:
+def robust(experiment: Experiment, fit: Fit, of_rig: bool = True) -> Fit:
     """Return a fit whose covariance counts blocks of the record, not samples.
 
     Where a model is not exact to the last newton, its innovations pull the parameters one way in
@@ -107,7 +107,6 @@ def robust(experiment: Experiment, fit: Fit, block: float = BLOCK, of_rig: bool 
 
     Parameters
     ----------
-    block : length of a block, s.
     of_rig : also what the rig's tolerances leave open; not between parts of one rig, which have
         its errors in common.
     """
@@ -121,7 +120,7 @@ def robust(experiment: Experiment, fit: Fit, block: float = BLOCK, of_rig: bool 
     slopes = sensitivities(experiment, fit.theta, fit.active, fit.gains, fit.e,
                            [step_of(f, fit.theta) for f in whole])
     d = np.stack([np.nan_to_num(slope) @ w.T for slope in slopes])
-    length = max(1, round(block / experiment.dt))
+    length = max(1, round(BLOCK / experiment.dt))
     count = max(1, white.shape[0] // length)
     pulls = np.stack([np.einsum("kic,ic->k", part, r) for part, r in zip(
         np.array_split(d[:k], count, axis=1), np.array_split(white, count, axis=0),
