@@ -224,7 +224,7 @@ def test_a_held_input_stays_held_in_a_simulated_recording():
     experiment, fit = nominal(experiment_of(
         [run(ISSUE, 500.0, True)], config(ISSUE, 500.0, command_hold="sampled")))
     assert experiment.held
-    for stretch in simulated(experiment, fit, 0).stretches:
+    for stretch in simulated(experiment, fit).stretches:
         assert not stretch.u[:, 1:].any()
 
 
