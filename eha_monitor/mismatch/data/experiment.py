@@ -17,7 +17,7 @@ from eha_monitor.mismatch.data.inputs import (
     noise_governs,
     present,
 )
-from eha_monitor.mismatch.data.stretch import BURN_IN, Rows, Stretch, windows_of, windows_of_each
+from eha_monitor.mismatch.data.stretch import BURN_IN, Rows, Stretch, windows_of
 from eha_monitor.mismatch.policy import POLICY, SearchPolicy
 from eha_monitor.physics.effect import Ranges
 from eha_monitor.physics.parameters import theta_of
@@ -107,12 +107,11 @@ class Experiment:
 
 
 def experiment_of(recordings: list[Recording], settings: Settings,
-                  hold_out: bool = True, without: tuple[str, ...] = (),
-                  each: bool = False) -> Experiment:
+                  hold_out: bool = True, without: tuple[str, ...] = ()) -> Experiment:
     """Make the experiment of one or more recordings of a rig.
 
-    Of long ones it holds the windows that tell most, of ``each`` some or of all together.  Effects
-    ``without`` are not considered.
+    Of long ones it holds the windows that tell most, of all together.  Effects ``without`` are not
+    considered.
 
     Raises
     ------
@@ -130,7 +129,7 @@ def experiment_of(recordings: list[Recording], settings: Settings,
         if abs(recording.sample_time - first.sample_time) > 1e-6 * first.sample_time:
             raise InputError(f"{recording.source}: expected the sample time of {first.source}, "
                              f"{first.sample_time:g} s, got {recording.sample_time:g} s")
-    chosen = (windows_of_each if each else windows_of)(recordings, settings)
+    chosen = windows_of(recordings, settings)
     for number, recording in enumerate(recordings):
         noise = noise_levels(sample_of(recording), settings.noise)
         names = [name for name in recording.channels if recording.has(name)]

@@ -140,18 +140,6 @@ def most_informative(grams: list[np.ndarray], lengths: list[int], most: int, siz
     return sorted(chosen)
 
 
-def windows_of_each(recordings: list[Recording], settings: Settings) -> list[Rows] | None:
-    """Return the windows of recordings that are compared with one another: each has its share."""
-    most = max(WINDOW, LOOKED // len(recordings))
-    found, cut = [], False
-    for number, recording in enumerate(recordings):
-        windows = windows_of([recording], settings, most)
-        cut |= windows is not None
-        found += [Rows(number, 0, len(recording))] if windows is None else [
-            replace(one, recording=number) for one in windows]
-    return found if cut else None
-
-
 def columns_of(window: Recording, settings: Settings) -> dict[str, np.ndarray]:
     """Return what the balances are made of in a window, and what they leave; name -> (n,).
 

@@ -17,17 +17,14 @@ from eha_monitor.mismatch.learn.formula import (
     unit_of,
 )
 from eha_monitor.mismatch.learn.learned import Learned, learned_of, signal_along
-from eha_monitor.mismatch.likelihood.along import contributed, smoothed
+from eha_monitor.mismatch.likelihood.along import contributed
 from eha_monitor.mismatch.likelihood.fit import Fit
 from eha_monitor.mismatch.locate.terms import (
-    STATES,
-    UNITS,
     Missing,
-    following,
     modelled_flow,
     modelled_force,
+    needed,
 )
-from eha_monitor.mismatch.locate.terms import tracks_of as smoothed_tracks
 from eha_monitor.mismatch.name.naming import Naming
 from eha_monitor.mismatch.show.held_out import shown, worse
 from eha_monitor.mismatch.show.model import robust
@@ -123,11 +120,9 @@ def missing_of(experiment: Experiment, fit: Fit, which: int, balance: str) -> Mi
     """
     active = fit.active.copy()
     active[which] = False
-    states = smoothed(experiment, following(experiment, replace(fit, active=active), balance))
-    tracks = smoothed_tracks(experiment, states)
-    return Missing(balance, UNITS[balance], tracks,
-                   tuple(one[:, STATES[balance]] for one in states),
-                   tuple(made_by(experiment, fit, which, balance, track) for track in tracks))
+    lacking = needed(experiment, replace(fit, active=active), balance)
+    return replace(lacking, modelled=tuple(
+        made_by(experiment, fit, which, balance, track) for track in lacking.tracks))
 
 
 def factors_of(experiment: Experiment, learned: Learned, fit: Fit, missing: Missing

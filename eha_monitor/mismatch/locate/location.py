@@ -16,7 +16,6 @@ from eha_monitor.compiled import njit
 from eha_monitor.mismatch.data.experiment import Experiment
 from eha_monitor.mismatch.data.inputs import FORCED
 from eha_monitor.mismatch.diagnosis import Curve, Location
-from eha_monitor.mismatch.likelihood.along import smoothed
 from eha_monitor.mismatch.likelihood.fit import (
     Fit,
     covariance_of,
@@ -31,13 +30,11 @@ from eha_monitor.mismatch.likelihood.gains import Linear, linear_of
 from eha_monitor.mismatch.likelihood.innovations import N_FILTERED, riccati
 from eha_monitor.mismatch.locate.terms import (
     BALANCES,
-    STATES,
     UNITS,
     Missing,
-    following,
     missing_terms,
+    needed,
     sensor_errors,
-    tracks_of,
 )
 from eha_monitor.mismatch.name.candidates import candidate
 from eha_monitor.mismatch.name.starts import limits_of
@@ -381,9 +378,7 @@ def location_of(experiment: Experiment, before: Fit, after: Fit | None,
         mine = [term for term in missing_terms(experiment, before, after)
                 if term.balance == balance]
     if not mine and balance in UNITS:
-        states = smoothed(experiment, following(experiment, last, balance))
-        mine = [Missing(balance, UNITS[balance], tracks_of(experiment, states),
-                        tuple(one[:, STATES[balance]] for one in states))]
+        mine = [needed(experiment, last, balance)]
     elif not mine:
         mine = sensor_errors(experiment, last, balance, outputs)
     if not mine:

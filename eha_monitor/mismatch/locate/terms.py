@@ -226,12 +226,18 @@ def following(experiment: Experiment, base: Fit, balance: str) -> Fit:
                     (Unknowns(*floor), Unknowns(*high)))
 
 
+def needed(experiment: Experiment, base: Fit, balance: str) -> Missing:
+    """Return the force, flow or speed that the record needs beside a model."""
+    states = smoothed(experiment, following(experiment, base, balance))
+    return Missing(balance, UNITS[balance], tracks_of(experiment, states),
+                   tuple(one[:, STATES[balance]] for one in states))
+
+
 def balance_term(experiment: Experiment, base: Fit, after: Fit, balance: str,
                  names: tuple[str, ...]) -> Missing:
     """Return a missing force, flow or speed."""
-    states = smoothed(experiment, following(experiment, base, balance))
-    tracks = tracks_of(experiment, states)
-    measured = tuple(one[:, STATES[balance]] for one in states)
+    lacking = needed(experiment, base, balance)
+    tracks, measured = lacking.tracks, lacking.measured
     if balance == "force":
         modelled = tuple(modelled_force(experiment, after, track, names) for track in tracks)
     elif balance == "drive":

@@ -39,6 +39,7 @@ RIG_STEP = 1e-3  # of a tolerance's logarithm: for its sensitivity
 ASTRAY, ASTRAY_OWNER = 1e30, "astray"  # a run that went astray says nothing
 LOOSE = 0.1  # of a logarithm: a number that may be off by so much does not act in proportion
 FAR_OFF = 5.0  # of its deviations: where such a number is tried, either way
+INVERSE = ("mass", "volume_1", "volume_2")
 REPLACING = 100  # variants from here on grow out of an effect that the model has
 
 
@@ -152,14 +153,6 @@ def columns_at(experiment: Experiment, fit: Fit, unnamed: bool = True, suspects:
               *(f for f in fit.free if timing_only(fit, f)),
               *rig):
         moved(f, ALWAYS, -1)
-    for f in rig if suspects else ():
-        if f.name not in fit.named and f.spread > LOOSE:
-            for variant, sign in enumerate((-1.0, 1.0), 1):
-                theta, step = fit.theta.copy(), sign * FAR_OFF * f.spread
-                theta[f.place] *= np.exp(step)
-                what.append(Column(f.name, variant, f.name, 0.0, 0.0, 1.5, f, size=True,
-                                   step=step))
-                moves.append((theta, fit.active, 1.0))
     for name in effects_of(fit):
         sizes = {p.name for p in CATALOGUE[name].sizes}
         for f in fit.free:
@@ -205,11 +198,21 @@ def columns_at(experiment: Experiment, fit: Fit, unnamed: bool = True, suspects:
              for term, size in zip(terms, sizes, strict=True) for _ in range(size)]
     wrong = [i for i, c in enumerate(what) if c.owner == ALWAYS and c.free.of_rig]
     far = experiment.policy.wrong
-    copies = tuple((1 + i, far) for i in wrong)
+    copies = [(1 + i, far) for i in wrong]
     what += [Column(what[i].name, -1 if what[i].name in fit.named else 0, what[i].name,
                     free=what[i].free, size=True, step=far * what[i].free.spread)
              for i in wrong]
-    return Columns(tuple(what), values, copies)
+    for i in wrong if suspects else ():
+        f = what[i].free
+        if f.name not in fit.named and f.spread > LOOSE:
+            # The rates are linear in most numbers, and in the inverse of a mass or a volume.
+            turned = -1.0 if f.symbol in INVERSE else 1.0
+            for variant, sign in enumerate((-1.0, 1.0), 1):
+                step = sign * FAR_OFF * f.spread
+                what.append(Column(f.name, variant, f.name, 0.0, 0.0, 1.5, f, size=True,
+                                   step=step))
+                copies.append((1 + i, turned * float(np.expm1(turned * step)) / f.spread))
+    return Columns(tuple(what), values, tuple(copies))
 
 
 def tame(column: np.ndarray, present: np.ndarray) -> bool:

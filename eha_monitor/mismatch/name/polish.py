@@ -19,6 +19,7 @@ from eha_monitor.mismatch.likelihood.fit import (
 )
 from eha_monitor.mismatch.name.columns import ALWAYS, Columns
 from eha_monitor.mismatch.name.gram import under
+from eha_monitor.physics.contributions import with_place
 from eha_monitor.physics.signals import B
 
 # Of a step: shorter first, because inside a threshold the direction is right and the length not.
@@ -28,12 +29,14 @@ LARGEST = 1e100  # slope of an innovation that is a slope; its square must still
 ROUGHLY = 5.0  # log units: a tolerance at which slopes are not taken afresh
 
 
-def coarse(experiment: Experiment) -> Experiment:
+def coarse(experiment: Experiment, active: np.ndarray) -> Experiment:
     """Return the experiment with integration steps that do for differences.
 
     A slope that is one per cent off leads to the same optimum; the innovations themselves are
-    taken with the fine steps.
+    taken with the fine steps.  A seal turns over within such a step: it keeps the fine ones.
     """
+    if len(with_place(active)):
+        return experiment
     least = damping_steps(experiment.settings, 2.0 * experiment.theta[B], experiment.dt)
     steps = max(int(np.ceil(experiment.steps / COARSER)), int(np.ceil(0.75 * least)), 1)
     return replace(experiment, steps=min(steps, experiment.steps))
@@ -103,7 +106,7 @@ def _polished(experiment: Experiment, fit: Fit, known: dict[str, np.ndarray], st
         return replace(fit, e=e, log_likelihood=-np.inf), {}
     bounds = np.array([[f.inward(f.lower), f.inward(f.upper)] for f in free]).reshape(-1, 2)
     prior, weight = np.array([f.prior for f in free]), np.array([f.spread for f in free]) ** -2.0
-    rough = coarse(experiment)
+    rough = coarse(experiment, fit.active)
 
     def taken(which: list[int]) -> None:
         if not which:
