@@ -1,7 +1,7 @@
 """What has changed in recordings of a machine, as an answer."""
 
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -71,10 +71,7 @@ def against(machine: Machine, recordings: Sequence[Recording], settings: Setting
         moved, changes, strict=False) if change.symbol)
     where, curves = place_of(models, courses, changes, (), verdict)
     if changes:
-        weights = dict.fromkeys(where.balance, 0.0)
-        for one in changes:
-            weights[one.balance] += 1.0 / len(changes)
-        where = Location(weights, where.regime, where.intervals_s)
+        where = Location(shares_of(changes, where.balance), where.regime, where.intervals_s)
     return Diagnosis(
         tuple(one.source for one in recordings), verdict,
         _message(verdict, changes, judged, _runs(machine), tuple(
@@ -91,6 +88,12 @@ def against(machine: Machine, recordings: Sequence[Recording], settings: Setting
         references=references, probability={"consistent": np.nan, "unexplained": np.nan},
         duration_s=sum(one.duration for one in recordings), machine=machine,
         policy=machine.policy.to_dict(), wall_s=time.perf_counter() - started)
+
+
+def shares_of(changes: Sequence[Change], balances: Iterable[str]) -> dict[str, float]:
+    """Return each balance's share of the changes."""
+    return {balance: sum(one.balance == balance for one in changes) / len(changes)
+            for balance in balances}
 
 
 def _model(one: JudgedBalance) -> Model:

@@ -231,7 +231,19 @@ def machine_of(recordings: Sequence[Recording], settings: Settings, vary: Sequen
 
 def healthy_machine(recordings: Sequence[Recording], settings: Settings,
                     policy: Policy = POLICY) -> Machine:
-    """Return the machine of healthy recordings, of however few, without those that differ.
+    """Return the machine of healthy recordings, see :func:`healthy_machine_of`.
+
+    Raises
+    ------
+    InputError
+        If no recording has a force balance, or as there.
+    """
+    return healthy_machine_of(courses_of(recordings, settings)[1], settings, policy)
+
+
+def healthy_machine_of(courses: Sequence[Course], settings: Settings, policy: Policy = POLICY
+                       ) -> Machine:
+    """Return the machine of healthy motions, of however few, without those that differ.
 
     Fewer than it needs are cut in parts; these do not hold what differs from one recording to
     the next, so a typical spread is added.
@@ -239,11 +251,10 @@ def healthy_machine(recordings: Sequence[Recording], settings: Settings,
     Raises
     ------
     InputError
-        If no recording has a force balance, or so few are too short to be cut.
+        If nothing moves in them, or so few are too short to be cut.
     """
-    _, courses, _ = courses_of(recordings, settings)
     if not any(course.moving.any() for course in courses):
-        raise InputError(f"{recordings[0].source}: expected a reference recording in which the "
+        raise InputError(f"{courses[0].source}: expected a reference recording in which the "
                          "piston moves, found none")
     courses = of_one_machine(courses, settings.rig, policy)
     if len(courses) >= policy.fewest:
@@ -259,7 +270,7 @@ def healthy_machine(recordings: Sequence[Recording], settings: Settings,
     seconds = sum(float(course.good.sum()) * course.dt for course in courses)
     if seconds < PIECES * SHORTEST_S:
         raise InputError(
-            f"{recordings[0].source}: expected at least {policy.fewest} reference recordings, or "
+            f"{courses[0].source}: expected at least {policy.fewest} reference recordings, or "
             f"{PIECES * SHORTEST_S:g} s of motion in them to cut in parts, found {seconds:.1f} s")
     return machine_from([part for one in courses for part in _parts(
         one, -(-PIECES // len(courses)))], settings.rig, (), (), policy, pieces=True)

@@ -11,9 +11,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from eha_monitor.balances.changed import WORDS, against
+from eha_monitor.balances.changed import WORDS, against, shares_of
 from eha_monitor.balances.course import courses_of
-from eha_monitor.balances.machine import healthy_machine
+from eha_monitor.balances.machine import healthy_machine_of
 from eha_monitor.balances.policy import POLICY
 from eha_monitor.balances.scatter import limit_of
 from eha_monitor.breakdown import computing
@@ -52,8 +52,8 @@ def compared(recordings: Sequence[Recording], references: Sequence[Recording],
     """
     started = time.perf_counter()
     with computing(*(one.source for one in (*recordings, *references))):
-        moving, _, lines = courses_of(references, settings)
-        found = against(healthy_machine(moving, settings), recordings, settings,
+        moving, courses, lines = courses_of(references, settings)
+        found = against(healthy_machine_of(courses, settings), recordings, settings,
                         tuple(one.source for one in moving))
         if found.verdict == "consistent":
             found = _by_filter(found, recordings, moving, settings)
@@ -76,9 +76,7 @@ def _by_filter(found: Diagnosis, recordings: Sequence[Recording], references: Se
     moved = {one.what: one.reference.value for one in changes}
     here = {name: float(np.exp(_mean([one[name] for one in now])[0])) for name in OF}
     signals = _free_runs(recordings, settings, here | moved, here)
-    weights = dict.fromkeys(found.location.balance, 0.0)
-    for one in changes:
-        weights[one.balance] += 1.0 / len(changes)
+    weights = shares_of(changes, found.location.balance)
     return replace(
         found, verdict="mismatch", signals=found.signals | signals,
         message="; ".join(one.statement for one in changes),
