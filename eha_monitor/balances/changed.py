@@ -9,7 +9,14 @@ import numpy as np
 from eha_monitor.balances.answer import overlay_of, place_of, still
 from eha_monitor.balances.candidates import SIDES
 from eha_monitor.balances.course import Course, courses_of
-from eha_monitor.balances.judge import Judged, JudgedBalance, Moved, judge
+from eha_monitor.balances.judge import (
+    Judged,
+    JudgedBalance,
+    Moved,
+    explains,
+    judge,
+    left_unseen,
+)
 from eha_monitor.balances.machine import LEAST, Machine
 from eha_monitor.balances.model import Model, Term, of_judged
 from eha_monitor.balances.named import size_of
@@ -29,6 +36,7 @@ from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.quantity import number, share, with_uncertainty
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings.monitor import Settings
+from eha_monitor.settings.rig import Rig
 from eha_monitor.words import effect_words, listed
 
 SHARED = 0.5  # of a deviation: less of it is of the difference, so that is told too
@@ -58,15 +66,23 @@ def against(machine: Machine, recordings: Sequence[Recording], settings: Setting
         return replace(still(recordings, courses, (), started), references=references)
     courses = machine.moved(courses)
     judged = beside_viscosity(machine, judge(machine, courses, settings), rig)
-    moved, stiffness = judged.changed, stiffness_of(courses, rig)
+    stiffness = stiffness_of(courses, rig)
+    judged = replace(judged, balances=tuple(replace(one, changed=tuple(
+        moved for moved in one.changed if not _as_stiff(moved, machine, stiffness)))
+        for one in judged.balances))
+    moved = judged.changed
     verdict = ("consistent" if judged.belongs else "mismatch" if judged.explained
                else "unexplained")
-    models = [_model(one) for one in judged.balances]
     changes = tuple(_change(one, machine, settings, stiffness) for one in moved
                     ) if verdict == "mismatch" else ()
     oil = None if any(one.what == "beta_e" for one in changes) else _oil(machine, stiffness)
     if oil is not None and {one.balance for one in judged.loud} <= {"flow"}:
-        verdict, changes = "mismatch", (*changes, oil)
+        softer = judged if changes else _with_oil(machine, judged, stiffness, rig)
+        if softer is not None:
+            verdict, changes, judged = "mismatch", (*changes, oil), softer
+        else:
+            verdict = "unexplained"
+    models = [_model(one) for one in judged.balances]
     effects = tuple(_effect(one, change, models) for one, change in zip(
         moved, changes, strict=False) if change.symbol)
     where, curves = place_of(models, courses, changes, (), verdict)
@@ -124,6 +140,12 @@ def _in_words(moved: Moved, settings: Settings, oils: tuple[Stiffness, Stiffness
     known = [one.modulus for one in oils]
     if c.name == "C_h" and all(POLICY.sure(*one) for one in known):
         return Value(*known[0], "Pa"), Value(*known[1], "Pa"), "Pa"
+    if c.name == "C_h" and rig.volume_1 and POLICY.sure(*known[0]):
+        # The machine's compliance is in several terms; what has changed stands beside all of it.
+        softer = oils[0].value + (moved.here - moved.machine) / rig.volume_1
+        if softer > 0.0:
+            return (Value(*known[0], "Pa"),
+                    Value(1.0 / softer, moved.stddev / rig.volume_1 / softer**2, "Pa"), "Pa")
     if c.name == "C_h" and rig.volume_1 and min(moved.machine, moved.here) > 0.0:
         pair = tuple((rig.volume_1 / value, rig.volume_1 / value**2 * stddev)
                      for value, stddev in pair)
@@ -151,6 +173,33 @@ def _change(moved: Moved, machine: Machine, settings: Settings, stiffness: Stiff
         f"{words} is {with_uncertainty(now.value, now.stddev, unit)}, where {runs} have "
         f"{with_uncertainty(healthy.value, healthy.stddev, unit)}{moved.given}{by}"),
         tuple(EFFECTS.get(one, one) for one in moved.rivals))
+
+
+def _as_stiff(moved: Moved, machine: Machine, stiffness: Stiffness) -> bool:
+    """Tell whether a compliance has moved whose oil, by itself, is as stiff as the machine's."""
+    oils = machine.stiffness, stiffness
+    return moved.candidate.name == "C_h" and all(POLICY.sure(*one.modulus) for one in oils) and (
+        abs(oils[0].value - oils[1].value) < np.hypot(*(
+            np.hypot(one.between, one.stddev) for one in oils)))
+
+
+def _with_oil(machine: Machine, judged: Judged, stiffness: Stiffness, rig: Rig) -> Judged | None:
+    """Return a recording with its oil in the flow balance; None where that is no explanation.
+
+    A balance that leaves more than any healthy recording has to leave less with it.
+    """
+    flow = next((one for one in judged.balances if one.balance == "flow"), None)
+    of = {} if flow is None else {c.name: c for c in flow.table.candidates}
+    if "C_h" not in of or not rig.volume_1:
+        return judged
+    before = flow.now.get("C_h", 0.0)
+    here = before + rig.volume_1 * (stiffness.value - machine.stiffness.value)
+    after = left_unseen(flow.table, flow.now | {"C_h": here}, flow.free)
+    if flow in judged.loud and not explains(flow.after, after, flow.usual, machine.policy):
+        return None
+    return replace(judged, balances=tuple(
+        replace(one, now=one.now | {"C_h": here}, after=after)
+        if one is flow and after < flow.after else one for one in judged.balances))
 
 
 def _oil(machine: Machine, stiffness: Stiffness) -> Change | None:
