@@ -15,8 +15,7 @@ from eha_monitor.balances.changed import against
 from eha_monitor.balances.course import course_of
 from eha_monitor.balances.discrepancy import learned
 from eha_monitor.balances.judge import judge
-from eha_monitor.balances.machine import machine_of
-from eha_monitor.balances.machine_file import load, save
+from eha_monitor.balances.machine import load, machine_of, save
 from eha_monitor.balances.policy import POLICY
 from eha_monitor.balances.table import tables_of
 from eha_monitor.balances.together import Recordings, pooled, without

@@ -17,8 +17,7 @@ from rig_tools import MULTISINE, simulated
 from ros_tools import PATIENCE, REPOSITORY, Caller, Recorder, command, end, listen, start
 from std_srvs.srv import Trigger
 
-from eha_monitor.balances.machine import machine_of
-from eha_monitor.balances.machine_file import save
+from eha_monitor.balances.machine import machine_of, save
 from eha_monitor.live.diagnosing import Adopted, model_of
 from eha_monitor.ros.messages import findings_of
 from eha_monitor.ros.monitor_node import Monitor

@@ -20,9 +20,9 @@ from eha_monitor.physics.contributions import (
 )
 from eha_monitor.physics.effects import NAMES
 from eha_monitor.physics.effects.friction import V_E
-from eha_monitor.physics.excitation import demanded_position, total_duration
 from eha_monitor.physics.own_term import BALANCES
 from eha_monitor.physics.parameters import theta_of
+from eha_monitor.physics.simulator import demanded_position, total_duration
 from eha_monitor.quantity import quantity
 from eha_monitor.recordings.grid import filled
 from eha_monitor.recordings.recording import Recording

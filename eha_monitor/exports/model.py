@@ -12,7 +12,7 @@ from markupsafe import Markup
 
 from eha_monitor.errors import InputError
 from eha_monitor.physics.effects import CATALOGUE
-from eha_monitor.physics.excitation import demanded_position
+from eha_monitor.physics.simulator import demanded_position
 from eha_monitor.settings.load import scalar
 from eha_monitor.settings.monitor import Settings
 from eha_monitor.settings.own_terms import is_own

@@ -15,8 +15,8 @@ from pydantic.fields import FieldInfo
 from eha_monitor.errors import InputError
 from eha_monitor.output import check_regular
 from eha_monitor.physics.effects import CATALOGUE
-from eha_monitor.settings.lost_units import beyond, lost_units, no_such_column, plain
 from eha_monitor.settings.monitor import Settings
+from eha_monitor.units import beyond, lost_units, no_such_column, plain
 
 LARGEST = 1024 * 1024  # bytes of a config
 Model = TypeVar("Model", bound=BaseModel)
