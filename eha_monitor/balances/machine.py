@@ -16,7 +16,7 @@ from eha_monitor.balances.candidates import (
     candidates_of,
     sum_of_pressures,
 )
-from eha_monitor.balances.course import Course, course_of, courses_of
+from eha_monitor.balances.course import Course
 from eha_monitor.balances.discrepancy import Regime, learned, regimes, signals_of
 from eha_monitor.balances.parameters import UNKNOWN, Stiffness, stiffness_of
 from eha_monitor.balances.policy import POLICY, Policy
@@ -26,7 +26,6 @@ from eha_monitor.balances.together import Chosen, Named, Recordings, of_one_mach
 from eha_monitor.errors import InputError
 from eha_monitor.output import finite, write_json
 from eha_monitor.quantity import quantity, share
-from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings.monitor import Settings
 from eha_monitor.settings.rig import Rig
 
@@ -207,40 +206,6 @@ class Machine:
 def rms(values: Sequence[float]) -> float:
     """Return the root of the mean square."""
     return float(np.sqrt(np.mean(np.square(values))))
-
-
-def machine_of(recordings: Sequence[Recording], settings: Settings, vary: Sequence[str] = (),
-               without: Sequence[str] = (), policy: Policy = POLICY) -> Machine:
-    """Return the machine that several recordings of one rig show.
-
-    Parameters
-    ----------
-    vary : what is known to differ between them; ``load`` alone has a meaning here.
-    without : effects that are not considered.
-
-    Raises
-    ------
-    InputError
-        If a recording has no force balance, or there are too few.
-    """
-    if len(recordings) < policy.fewest:
-        raise InputError(f"expected at least {policy.fewest} recordings of one machine, got "
-                         f"{len(recordings)}")
-    courses = of_one_machine([course_of(recording, settings) for recording in recordings],
-                             settings.rig, policy)
-    return machine_from(courses, settings.rig, vary, without, policy)
-
-
-def healthy_machine(recordings: Sequence[Recording], settings: Settings,
-                    policy: Policy = POLICY) -> Machine:
-    """Return the machine of healthy recordings, see :func:`healthy_machine_of`.
-
-    Raises
-    ------
-    InputError
-        If no recording has a force balance, or as there.
-    """
-    return healthy_machine_of(courses_of(recordings, settings)[1], settings, policy)
 
 
 def healthy_machine_of(courses: Sequence[Course], settings: Settings, policy: Policy = POLICY
