@@ -97,6 +97,25 @@ class Section(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
+def unit_of(section: type[BaseModel], key: str) -> str:
+    """Return the SI unit of a key of a section, or ""."""
+    return (section.model_fields[key].json_schema_extra or {}).get("unit", "")
+
+
+def keys_of(section: BaseModel, prefix: str = "") -> Iterator[tuple[str, Any, str, str]]:
+    """Yield (key, value, unit, description) of a section and of those in it."""
+    for key, about in type(section).model_fields.items():
+        value, name = getattr(section, key), f"{prefix}{key}"
+        if isinstance(value, BaseModel):
+            yield from keys_of(value, f"{name}.")
+        elif isinstance(value, dict) and value and all(
+                isinstance(one, BaseModel) for one in value.values()):
+            for inner, one in value.items():
+                yield from keys_of(one, f"{name}.{inner}.")
+        else:
+            yield name, value, unit_of(type(section), key), about.description
+
+
 # SI unit -> those that people type without saying so, the usual one first.
 _TYPED = {"Pa": ("bar", "MPa", "kPa"), "m": ("mm", "cm"), "m²": ("cm^2", "mm^2"),
           "m³": ("cm^3", "l", "mm^3"), "m³/rad": ("cm^3/rev", "cm^3/rad"), "s": ("ms", "us"),
