@@ -27,6 +27,7 @@ SHARES = (1.0, 0.3, 0.1, 0.03)
 COARSER = 3.0  # times the integration step, for differences
 LARGEST = 1e100  # slope of an innovation that is a slope; its square must still be a number
 ROUGHLY = 5.0  # log units: a tolerance at which slopes are not taken afresh
+DAMPED, MOST_DAMPED = 1e-2, 1e2  # of the information: where a step has failed, and at most
 
 
 def coarse(experiment: Experiment, active: np.ndarray) -> Experiment:
@@ -133,11 +134,11 @@ def _polished(experiment: Experiment, fit: Fit, known: dict[str, np.ndarray], st
         matrix = (information + np.diag(weight)) / np.outer(scale, scale)
         if not np.isfinite(matrix).all():
             return replace(fit, log_likelihood=-np.inf), {}
+        whole = step_within(matrix + damping * np.eye(len(free)), gradient / scale,
+                            scale[:, None] * (bounds - now[:, None])) / scale
         improved = False
         for share in SHARES:
-            step = step_within(matrix + damping * np.eye(len(free)), gradient / scale,
-                               scale[:, None] * (bounds - now[:, None])) / scale
-            step *= share
+            step = share * whole
             other = theta.copy()
             for f, value in zip(free, now + step, strict=True):
                 other[f.place] = f.outward(value)
@@ -146,15 +147,17 @@ def _polished(experiment: Experiment, fit: Fit, known: dict[str, np.ndarray], st
             if reached > best:
                 improved = True
                 break
-            if share == SHARES[-1]:  # the direction is not to be trusted either
-                damping = max(10.0 * damping, 1e-2)
         if not improved:
-            if fresh or not left:
-                converged = True
+            scaled = scale * whole
+            promised = float(gradient @ whole - 0.5 * scaled @ matrix @ scaled)
+            if promised < tolerance or damping >= MOST_DAMPED or not (fresh or left):
+                converged = promised < tolerance
                 break
-            taken(every)
-            fresh, left = True, left - 1
-            damping = 1e-9
+            if not fresh:
+                taken(every)
+                fresh, left, damping = True, left - 1, 1e-9
+            else:  # the direction is not to be trusted either: towards the gradient's (Levenberg)
+                damping = max(10.0 * damping, DAMPED)
             continue
         step = np.array([f.inward(other[f.place]) for f in free]) - now
         missed = np.nan_to_num(moved - e) - np.tensordot(step, d, axes=1)

@@ -475,6 +475,28 @@ def lesser(experiment: Experiment, fit: Fit, name: str) -> Fit:
     return ties.best((here, along), lambda one: one.log_likelihood, within=ties.SAME_FIT)
 
 
+def traded(experiment: Experiment, fit: Fit, name: str) -> Fit | None:
+    """Return a fit with a wrong number of the rig in a member's place, not yet refitted.
+
+    Where a member vanishes, the valley of the fit's own covariance may lead one number of the rig
+    beyond its tolerance: the two are one for this recording, as equal zero errors of both
+    pressure sensors and a charge pressure are.  None where it leads none, or several, there.
+    """
+    wider = {f.name: wide(f, experiment.policy) for f in rig_free(experiment)
+             if f.name not in fit.named}
+    free = tuple(wider.get(f.name, f) for f in fit.free)
+    theta = without_along(replace(fit, free=free), name)
+    gone = [f for f in fit.free if f.name in wider and f.at_bound(f.outward(
+        f.inward(theta[f.place])))]
+    if len(gone) != 1 or name not in CATALOGUE:
+        return None
+    bare = without_effect(experiment, replace(fit, theta=theta, free=tuple(
+        wider[f.name] if f in gone else f for f in fit.free)), name)
+    for f in bare.free:
+        bare.theta[f.place] = f.outward(f.inward(bare.theta[f.place]))
+    return with_rig(experiment, replace(bare, named=(*bare.named, gone[0].name)))
+
+
 def without_along(fit: Fit, name: str) -> np.ndarray:
     """Return theta where a fit's other numbers go when a member vanishes, by its covariance.
 
@@ -525,8 +547,9 @@ def without(experiment: Experiment, refits: Refits, names: Names) -> None:
     """Fit a set without each of its members from where it stands."""
     fit = refits.fits.get(names)
     for name in sorted(names) if fit is not None else ():
-        refits.add(experiment, names - {name}, settled(
-            experiment, lesser(experiment, fit, name), worth=fit.log_likelihood - CLOSE))
+        for other in filter(None, (lesser(experiment, fit, name), traded(experiment, fit, name))):
+            refits.add(experiment, frozenset(other.named), settled(
+                experiment, other, worth=fit.log_likelihood - CLOSE))
 
 
 def gated(experiment: Experiment, refits: Refits) -> None:
@@ -600,7 +623,7 @@ def finish(experiment: Experiment, refits: Refits) -> None:
                 refits.add(experiment, swapped, settled(
                     experiment, simplified(experiment, lead, name, other), worth=worth))
     # That nothing is missing is never judged by half a fit.
-    near = [names for i, names in enumerate(within_reach(refits)) if i < FINALISTS or not names]
+    near = list(dict.fromkeys([*within_reach(refits)[:FINALISTS], frozenset[str]()]))
     level = refits.fits[refits.best()].unknowns
     lead = refits.fits[refits.likeliest(near)]
     worth = lead.log_likelihood - CLOSE
