@@ -128,7 +128,7 @@ def fuzz(target: str, arguments: list[str]) -> None:
     """Run libFuzzer in this process."""
     import atheris
 
-    import eha_monitor.recordings.walk  # noqa: F401  compiled: not to be instrumented
+    import eha_monitor.recordings.bag  # noqa: F401  compiled: not to be instrumented
 
     with atheris.instrument_imports(include=INSTRUMENTED):
         import corpus_tools

@@ -21,9 +21,8 @@ from eha_monitor.concealed.draws import draw_names, draw_rig, misconfigured
 from eha_monitor.concealed.generate import nominal_config, recording_of
 from eha_monitor.concealed.hidden import THRESHOLDED
 from eha_monitor.concealed.plant import P1, P2, V, X
-from eha_monitor.identify.experiment import DECIDED, identify
+from eha_monitor.identify.experiment import DECIDED, Ran, Watch, bounds_of, identify
 from eha_monitor.identify.plan import Planned, Planner, most_decisive
-from eha_monitor.identify.rig import Ran, Watch, bounds_of
 from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings import Settings, settings_from_tree

@@ -24,10 +24,10 @@ from eha_monitor.balances.alone import alone
 from eha_monitor.balances.baseline import baseline
 from eha_monitor.balances.candidates import Scale, candidates_of
 from eha_monitor.balances.course import course_of
-from eha_monitor.balances.machine import Machine, machine_of, rms
+from eha_monitor.balances.machine import Machine, machine_from, rms
 from eha_monitor.balances.policy import POLICY
 from eha_monitor.balances.table import tables_of
-from eha_monitor.balances.together import Recordings, unseen
+from eha_monitor.balances.together import Recordings, of_one_machine, unseen
 from eha_monitor.errors import InputError
 from eha_monitor.recordings.importing import read_table
 from eha_monitor.settings import load_settings
@@ -155,6 +155,13 @@ def strangers(seed: int, rigs: int) -> dict:
                     inside["F_0"] += [abs(v - t["load"]) <= max(2 * d, 0.02 * abs(t["load"]))
                                       for v, d, t in zip(s.value, s.stddev, truths, strict=True)]
     return {key: (100 * np.mean(rows), len(rows)) for key, rows in inside.items()}
+
+
+def machine_of(recordings: list, settings, vary: tuple[str, ...] = ()) -> Machine:
+    """Return the machine that several recordings of one rig show."""
+    courses = of_one_machine([course_of(one, settings) for one in recordings], settings.rig,
+                             POLICY)
+    return machine_from(courses, settings.rig, vary, (), POLICY)
 
 
 def within(value: float, stddev: float, low: float, high: float) -> bool:

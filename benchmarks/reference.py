@@ -15,7 +15,8 @@ import record
 from rich.progress import track
 
 from eha_monitor.balances.changed import against
-from eha_monitor.balances.machine import healthy_machine
+from eha_monitor.balances.course import courses_of
+from eha_monitor.balances.machine import healthy_machine_of
 from eha_monitor.compiled import load_runtime
 from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.recordings.importing import read_table
@@ -72,7 +73,8 @@ def main() -> None:
 def tried(strokes: dict, references: list[str], others: list[str], settings
           ) -> dict[str, tuple[bool, list[str]]]:
     """Return of each other stroke whether it is called changed, and what is named."""
-    machine, found = healthy_machine([strokes[name] for name in references], settings), {}
+    courses = courses_of([strokes[name] for name in references], settings)[1]
+    machine, found = healthy_machine_of(courses, settings), {}
     for name in others:
         answer = against(machine, [strokes[name]], settings, tuple(references))
         found[name] = answer.verdict != "consistent", [one.what for one in answer.changes]

@@ -19,8 +19,7 @@ from pathlib import Path
 from numba.core import types
 
 from eha_monitor.archive.run import on_this_machine
-from eha_monitor.compiled import ANNOUNCER, CACHE
-from eha_monitor.compiled_cache import shipped
+from eha_monitor.compiled import ANNOUNCER, CACHE, shipped
 
 LIST = json.loads((Path(__file__).parent / "signatures.json").read_text(encoding="utf-8"))
 # What a simulator, a monitor and a replay call: `make demo` begins once these are compiled.

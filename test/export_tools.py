@@ -4,8 +4,7 @@ import numpy as np
 from rig_tools import motion, settings
 
 from eha_monitor.exports.model import Model
-from eha_monitor.physics.excitation import demanded_position
-from eha_monitor.physics.simulator import Simulator
+from eha_monitor.physics.simulator import Simulator, demanded_position
 
 FAST = {"kind": "multisine", "amplitude": 0.02, "frequency": 0.5, "frequency_end": 6.0, "seed": 3}
 SECONDS = 1.5

@@ -2,6 +2,10 @@
 
 import numpy as np
 
+from eha_monitor.balances.course import course_of, courses_of
+from eha_monitor.balances.machine import healthy_machine_of, machine_from
+from eha_monitor.balances.policy import POLICY
+from eha_monitor.balances.together import of_one_machine
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings import load_settings
 
@@ -76,3 +80,15 @@ def stranger_settings(tmp_path):
            charge_pressure: 5.0e5, sample_time: 2.0e-3}}
 """, encoding="utf-8")
     return load_settings(path)
+
+
+def machine_of(recordings, settings, vary=()):
+    """Return the machine that several recordings of one rig show, ``vary`` known to differ."""
+    courses = of_one_machine([course_of(one, settings) for one in recordings], settings.rig,
+                             POLICY)
+    return machine_from(courses, settings.rig, vary, (), POLICY)
+
+
+def healthy_machine(recordings, settings):
+    """Return the machine of healthy recordings."""
+    return healthy_machine_of(courses_of(recordings, settings)[1], settings)

@@ -26,8 +26,7 @@ from eha_monitor.mismatch.likelihood.information import Traces, free_slopes
 from eha_monitor.mismatch.name.naming import Naming
 from eha_monitor.mismatch.name.refit import settled
 from eha_monitor.mismatch.name.starts import starts_of, with_effect
-from eha_monitor.physics.excitation import demanded_position
-from eha_monitor.physics.simulator import Simulator
+from eha_monitor.physics.simulator import Simulator, demanded_position
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.recordings.write import write_recording
 from eha_monitor.settings import load_settings

@@ -10,12 +10,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
+from machine_tools import healthy_machine
 from rig_tools import BETA, CHIRP, MULTISINE, SINE, TRIANGLE, B, settings, simulated, without
 
 from eha_monitor.api.answer import answer, judged, judged_series
 from eha_monitor.balances.changed import against
 from eha_monitor.balances.course import slope
-from eha_monitor.balances.machine import healthy_machine
 from eha_monitor.balances.parameters import LEAST_S, along, parameters_of
 from eha_monitor.estimation.model_watch import tainted_by
 from eha_monitor.estimation.pipeline import estimate

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from machine_tools import stranger, stranger_settings
+from machine_tools import healthy_machine, stranger, stranger_settings
 from mismatch_tools import recorded
 
 from eha_monitor.balances.answer import Asked, answered
@@ -12,7 +12,6 @@ from eha_monitor.balances.baseline import baseline
 from eha_monitor.balances.candidates import Scale, candidates_of
 from eha_monitor.balances.changed import against
 from eha_monitor.balances.course import course_of
-from eha_monitor.balances.machine import healthy_machine
 from eha_monitor.balances.parameters import compressibility
 from eha_monitor.balances.policy import POLICY
 from eha_monitor.balances.scatter import amplitudes_of

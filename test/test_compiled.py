@@ -159,7 +159,7 @@ def test_the_set_up_compiles_all_there_is(tmp_path):
     import pkgutil
 
     import eha_monitor
-    from eha_monitor.compiled_cache import SharedCache
+    from eha_monitor.compiled import SharedCache
 
     # Written into their callers, or the catalogue's "does nothing".
     never = {"damped_mass_integrals", "no_term", "no_update", "no_circuit"}

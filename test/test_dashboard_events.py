@@ -14,8 +14,7 @@ from eha_monitor.dashboard import charts, words
 from eha_monitor.dashboard.detail import who_is
 from eha_monitor.dashboard.events import ACKNOWLEDGED, QUALITY, Change, EventLog
 from eha_monitor.dashboard.exports import estimates_csv
-from eha_monitor.dashboard.history import History, Span, thinned
-from eha_monitor.dashboard.state import HEALTH_STALE_AFTER, State
+from eha_monitor.dashboard.state import HEALTH_STALE_AFTER, History, Span, State, thinned
 from eha_monitor.health.judge import Finding
 from eha_monitor.settings import Settings
 

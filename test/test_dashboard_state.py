@@ -8,8 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from eha_monitor.dashboard import charts, words
-from eha_monitor.dashboard.history import History
-from eha_monitor.dashboard.state import ESTIMATES_EVERY, State, alarms
+from eha_monitor.dashboard.state import ESTIMATES_EVERY, History, State, alarms
 from eha_monitor.health.alarms import NO_LIMIT
 from eha_monitor.health.judge import Finding
 from eha_monitor.quantity import Scale

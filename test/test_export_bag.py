@@ -11,8 +11,7 @@ from rosbags.highlevel import AnyReader
 
 from eha_monitor.cli import main
 from eha_monitor.errors import InputError
-from eha_monitor.exports.diagnosis_bag import write_diagnosis_bag
-from eha_monitor.mismatch.show.series import series_of
+from eha_monitor.mismatch.show.series import series_of, write_diagnosis_bag
 from eha_monitor.physics.simulator import Simulator
 from eha_monitor.recordings.recording import Recording
 

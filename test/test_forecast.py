@@ -32,12 +32,10 @@ TIMES = START + DAY * np.arange(60.0)
 
 
 def growing(onset=0.0, tau=100.0, shape=1.0, diffusion=0.1, var_g=0.04, way=1.0, level=0.0,
-            var_l=0.49) -> Bank:
+            var_l=0.49):
     """Return a bank with one hypothesis that grows."""
-    one = {"weight": 0.0, "grows": True, "grown": True, "level": level, "gain": 1.0,
-           "var_l": var_l, "cov": 0.0, "var_g": var_g, "onset": onset, "tau": tau, "shape": shape,
-           "diffusion": diffusion, "way": way, "clock": 0.0, "noise": 2, "path": 0}
-    return Bank(**{name: np.array([value]) for name, value in one.items()})
+    return Bank.of(1, grows=True, grown=True, level=level, gain=1.0, var_l=var_l, var_g=var_g,
+                   onset=onset, tau=tau, shape=shape, diffusion=diffusion, way=way, noise=2)
 
 
 @pytest.mark.parametrize("shape", [0.5, 1.0, 3.0, -3.5])

@@ -11,9 +11,8 @@ from ground_parts import (
 )
 
 from eha_monitor.errors import InputError
-from eha_monitor.prove.children import write_json
 from eha_monitor.prove.score import row_of
-from eha_monitor.prove.trial import Question
+from eha_monitor.prove.trial import Question, write_json
 from eha_monitor.recordings.read import read_recording
 from eha_monitor.settings import load_settings
 

@@ -11,7 +11,7 @@ from ruamel.yaml import YAML
 from eha_monitor.api.diagnosis_answer import answer, written_config
 from eha_monitor.errors import InputError
 from eha_monitor.mismatch.diagnose import diagnose
-from eha_monitor.mismatch.learn.tested import starts_of
+from eha_monitor.mismatch.learn.validated import starts_of
 from eha_monitor.settings import settings_from_tree
 from eha_monitor.settings.hypothesis import load_hypothesis
 

@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 
 from eha_monitor.cli import main
 from eha_monitor.errors import InputError
+from eha_monitor.identify.experiment import NEEDED, SimulatedRig, Watch, bounds_of
 from eha_monitor.identify.plan import Planner, standing, within
-from eha_monitor.identify.rig import NEEDED, SimulatedRig, Watch, bounds_of
 from eha_monitor.mismatch.name.naming import Naming
 from eha_monitor.recordings.read import read_recording
 from eha_monitor.settings import load_settings, settings_from_tree

@@ -9,9 +9,8 @@ from rig_tools import CHIRP, MULTISINE, SINE, TRIANGLE, motion, settings, simula
 
 from eha_monitor.errors import InputError
 from eha_monitor.physics import signals as s
-from eha_monitor.physics.excitation import demanded_position, total_duration
 from eha_monitor.physics.parameters import place_of
-from eha_monitor.physics.simulator import Simulator
+from eha_monitor.physics.simulator import Simulator, demanded_position, total_duration
 
 
 def segments(**shapes):

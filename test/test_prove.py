@@ -18,8 +18,7 @@ from eha_monitor.concealed.cases import Case, truth_of
 from eha_monitor.concealed.draws import KINDS
 from eha_monitor.concealed.generate import nominal_config
 from eha_monitor.errors import InputError
-from eha_monitor.prove.children import begun, ended
-from eha_monitor.prove.trial import DRAWS, Trial, cases_of, on_rig, prove
+from eha_monitor.prove.trial import DRAWS, Trial, begun, cases_of, ended, on_rig, prove
 from eha_monitor.reports.proof_report import proof_page
 from eha_monitor.settings import settings_from_tree
 

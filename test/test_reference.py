@@ -12,7 +12,7 @@ from eha_monitor.errors import InputError
 from eha_monitor.mismatch.compared import compared
 from eha_monitor.physics.simulator import Simulator
 from eha_monitor.recordings.importing import read_table
-from eha_monitor.recordings.stops import between_stops
+from eha_monitor.recordings.recording import between_stops
 from eha_monitor.recordings.write import write_recording
 from eha_monitor.settings import load_settings
 from eha_monitor.settings.load import settings_from_tree

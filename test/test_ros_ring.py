@@ -13,12 +13,12 @@ import numpy as np
 import pytest
 from command_tools import refused
 from diagnostic_msgs.msg import DiagnosticArray
+from machine_tools import machine_of
 from rig_tools import MULTISINE, simulated
 from ros_tools import PATIENCE, REPOSITORY, Caller, Recorder, command, end, listen, start
 from std_srvs.srv import Trigger
 
-from eha_monitor.balances.machine import machine_of
-from eha_monitor.balances.machine_file import save
+from eha_monitor.balances.machine import save
 from eha_monitor.live.diagnosing import Adopted, model_of
 from eha_monitor.ros.messages import findings_of
 from eha_monitor.ros.monitor_node import Monitor

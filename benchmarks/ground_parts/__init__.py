@@ -4,8 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from eha_monitor.concealed.cases import Case
-from eha_monitor.prove.children import read_json
-from eha_monitor.prove.trial import Question, Trial
+from eha_monitor.prove.trial import Question, Trial, read_json
 
 
 @dataclass(frozen=True)

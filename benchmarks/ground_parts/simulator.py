@@ -16,8 +16,7 @@ import record
 
 from eha_monitor.errors import InputError
 from eha_monitor.physics.effects import CATALOGUE
-from eha_monitor.prove.children import digest_of, read_json
-from eha_monitor.prove.trial import Question, prove
+from eha_monitor.prove.trial import Question, digest_of, prove, read_json
 from ground_parts import (
     Ground,
     after_of,

@@ -13,7 +13,7 @@ import numpy as np
 
 from eha_monitor.concealed.cases import SAMPLE_TIME, Case
 from eha_monitor.concealed.generate import write_case
-from eha_monitor.physics.excitation import demanded_position, total_duration
+from eha_monitor.physics.simulator import demanded_position, total_duration
 from eha_monitor.prove.trial import Question, answer, begin, made, opened, result, seal
 from eha_monitor.settings.rig import Segment
 from ground_parts import (

@@ -1,7 +1,7 @@
 """The config as an object: of a file, of a mapping, or a changed copy; always validated."""
 
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Union, get_args, get_origin
@@ -14,6 +14,7 @@ from eha_monitor.output import write_text
 from eha_monitor.settings.load import annotated, load_settings, settings_from_tree
 from eha_monitor.settings.monitor import Monitor, Settings, Thresholds
 from eha_monitor.settings.rig import Rig, Simulation
+from eha_monitor.units import keys_of, unit_of
 
 if TYPE_CHECKING:
     import pandas
@@ -242,7 +243,9 @@ class Config(Record):
         >>> em.Config().to_frame().loc["rig.mass", "unit"]
         'kg'
         """
-        return frame_of(_keys(self.settings), ("key", "value", "unit", "description"), "key")
+        columns = ("key", "value", "unit", "description")
+        return frame_of((dict(zip(columns, row, strict=True)) for row in keys_of(self.settings)),
+                        columns, "key")
 
     def _short(self):
         rows = [[f"rig.{key}", _number(getattr(self.rig, key)), unit_of(Rig, key)]
@@ -277,11 +280,6 @@ def path_of(given: Any, what: str) -> Path:
         return place if place.exists() else place.expanduser()
     except RuntimeError as problem:  # a home that is not there
         raise InputError(f"{os.fsdecode(given)}: {problem}") from problem
-
-
-def unit_of(section: type[BaseModel], key: str) -> str:
-    """Return the SI unit of a key of a section, or ""."""
-    return (section.model_fields[key].json_schema_extra or {}).get("unit", "")
 
 
 def _kind(given: Any) -> str:
@@ -322,18 +320,3 @@ def _names_of_ones_own(annotation: Any) -> bool:
     if get_origin(annotation) is Union:
         return any(map(_names_of_ones_own, get_args(annotation)))
     return get_origin(annotation) is dict and get_args(annotation)[0] is str
-
-
-def _keys(model: BaseModel, prefix: str = "") -> Iterator[dict[str, Any]]:
-    """Yield a row for each key of a section and of those in it."""
-    for key, about in type(model).model_fields.items():
-        value, name = getattr(model, key), f"{prefix}{key}"
-        if isinstance(value, BaseModel):
-            yield from _keys(value, f"{name}.")
-        elif isinstance(value, dict) and value and all(
-                isinstance(one, BaseModel) for one in value.values()):
-            for inner, one in value.items():
-                yield from _keys(one, f"{name}.{inner}.")
-        else:
-            yield {"key": name, "value": value, "unit": unit_of(type(model), key),
-                   "description": about.description}

@@ -22,7 +22,7 @@ from eha_monitor.api.read import (
 from eha_monitor.api.recording import Recording
 from eha_monitor.archive.find import find_bags, is_archive
 from eha_monitor.balances.changed import against
-from eha_monitor.balances.machine_file import load
+from eha_monitor.balances.machine import load
 from eha_monitor.compiled import load_runtime
 from eha_monitor.errors import InputError
 from eha_monitor.indicators.assemble import of_diagnosis

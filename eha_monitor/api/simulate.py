@@ -13,8 +13,7 @@ from eha_monitor.api.common import Progress, calling, reporter
 from eha_monitor.api.config import Config, config_of
 from eha_monitor.api.recording import Recording
 from eha_monitor.errors import InputError
-from eha_monitor.physics.excitation import total_duration
-from eha_monitor.physics.simulator import Simulator
+from eha_monitor.physics.simulator import Simulator, total_duration
 from eha_monitor.recordings.columns import Column
 from eha_monitor.recordings.recording import Recording as Inner
 from eha_monitor.recordings.write import ChannelWriter

@@ -23,8 +23,9 @@ have not.  Where nothing grows it exceeds 1/q with probability q at most, howeve
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from functools import lru_cache
+from types import SimpleNamespace
 
 import numpy as np
 
@@ -55,50 +56,31 @@ TOLD, BEYOND, NOT_YET, STEADY, NO_LIMIT = (
 NEAR = 0.05  # of the first way to the limit: growth that begins closer has no way left to go
 
 
-@dataclass
-class Bank:
-    """Hypotheses, (k,) each; ``mean_l``... are the filter's state and covariance.
+NEW = {"weight": 0.0, "grows": False, "grown": False, "level": 0.0, "gain": 0.0, "var_l": 0.0,
+       "cov": 0.0, "var_g": 0.0, "onset": 0.0, "tau": 1.0, "shape": 1.0, "diffusion": 0.0,
+       "way": 1.0, "clock": 0.0, "noise": 0, "path": 0}
 
-    ``grows`` tells which kind it is now, ``grown`` whether it has grown since the last jump;
-    ``path`` is the place of the times of its jumps in the tracker's list.
+
+class Bank(SimpleNamespace):
+    """Hypotheses: columns (k,) as in ``NEW``.
+
+    ``weight`` is a logarithm; ``grows`` tells which kind it is now, ``grown`` whether it has grown
+    since the last jump; ``level`` to ``var_g`` are the filter's state and covariance; ``clock`` is
+    Lambda now, ``noise`` a class, ``path`` the place of the times of its jumps in the tracker's
+    list.
     """
 
-    weight: np.ndarray  # logarithm
-    grows: np.ndarray
-    grown: np.ndarray
-    level: np.ndarray
-    gain: np.ndarray
-    var_l: np.ndarray
-    cov: np.ndarray
-    var_g: np.ndarray
-    onset: np.ndarray
-    tau: np.ndarray
-    shape: np.ndarray
-    diffusion: np.ndarray
-    way: np.ndarray
-    clock: np.ndarray  # Lambda now
-    noise: np.ndarray  # class
-    path: np.ndarray
+    @classmethod
+    def of(cls, size: int, **columns: np.ndarray | float) -> "Bank":
+        """Return so many hypotheses that differ from new ones in these columns."""
+        return cls(**{name: np.full(size, values) for name, values in (NEW | columns).items()})
 
     def __len__(self) -> int:
         return len(self.weight)
 
     def part(self, which: np.ndarray) -> "Bank":
         """Return some of the hypotheses."""
-        return Bank(**{f.name: getattr(self, f.name)[which] for f in fields(self)})
-
-    def joined(self, others: list["Bank"]) -> "Bank":
-        """Return these and others."""
-        return Bank(**{f.name: np.concatenate([getattr(one, f.name) for one in (self, *others)])
-                       for f in fields(self)})
-
-
-def resting(weight, level, var_l, noise, path, grown: bool = False) -> Bank:
-    """Return hypotheses that rest; arrays (k,)."""
-    size = len(weight)
-    zero = np.zeros(size)
-    return Bank(weight, np.zeros(size, dtype=bool), np.full(size, grown), level, zero, var_l, zero,
-                zero, zero, zero + 1.0, zero + 1.0, zero, zero + 1.0, zero, noise, path)
+        return Bank(**{name: values[which] for name, values in vars(self).items()})
 
 
 _TAU, _SHAPE, _DIFFUSION = (one.ravel() for one in np.meshgrid(TAUS, SHAPES, DIFFUSIONS,
@@ -164,9 +146,7 @@ class Tracker:
         """
         if self.bank is None:
             size = len(NOISES)
-            self.bank = resting(np.full(size, -np.log(size)), np.zeros(size),
-                                np.full(size, LEVEL**2), np.arange(size),
-                                np.zeros(size, dtype=int))
+            self.bank = Bank.of(size, weight=-np.log(size), var_l=LEVEL**2, noise=np.arange(size))
         else:
             self._branch(time)
         self._advance(time)
@@ -216,24 +196,20 @@ class Tracker:
                 if level < 1.0 - NEAR:
                     new.append(self._growing(weight + chance, level, spread, noise, path))
                 if grows:
-                    new.append(resting(np.array([weight + np.log(ENDS)]), np.array([level]),
-                                       np.array([spread]), np.array([noise]), np.array([path]),
-                                       grown=True))
+                    new.append(Bank.of(1, weight=weight + np.log(ENDS), level=level, var_l=spread,
+                                       noise=noise, path=path, grown=True))
             weight, _, _, path = collapsed(bank, mine)
             self.paths.append((*self.paths[path], time))
-            new.append(resting(np.array([weight + np.log(JUMPS)]), np.zeros(1),
-                               np.array([LEVEL**2]), np.array([noise]),
-                               np.array([len(self.paths) - 1])))
-        self.bank = bank.joined(new)
+            new.append(Bank.of(1, weight=weight + np.log(JUMPS), var_l=LEVEL**2, noise=noise,
+                               path=len(self.paths) - 1))
+        self.bank = Bank(**{name: np.concatenate([vars(one)[name] for one in (bank, *new)])
+                            for name in NEW})
 
     def _growing(self, weight: float, level: float, spread: float, noise: int, path: int) -> Bank:
-        size = len(_TAU)
-        one = np.ones(size)
-        yes = np.ones(size, dtype=bool)
-        return Bank(weight + _EACH * one, yes, yes.copy(), level * one, one.copy(),
-                    spread * one, 0.0 * one, _GAIN**2, self.time * one, _TAU * self.unit, _SHAPE,
-                    _DIFFUSION, (1.0 - level) * one, 0.0 * one, np.full(size, noise),
-                    np.full(size, path))
+        return Bank.of(len(_TAU), weight=weight + _EACH, grows=True, grown=True, level=level,
+                       gain=1.0, var_l=spread, var_g=_GAIN**2, onset=self.time,
+                       tau=_TAU * self.unit, shape=_SHAPE, diffusion=_DIFFUSION, way=1.0 - level,
+                       noise=noise, path=path)
 
     def _advance(self, time: float) -> None:
         bank = self.bank
@@ -276,7 +252,7 @@ class Tracker:
             rest = np.flatnonzero(~bank.grown)
             kept[rest[np.argsort(bank.weight[rest])[-12:]]] = True  # odds need both kinds
             bank = bank.part(kept)
-        bank.weight = bank.weight - top
+        bank.weight -= top
         self.bank = bank
 
 

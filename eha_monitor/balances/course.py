@@ -21,8 +21,7 @@ from eha_monitor.physics import signals as s
 from eha_monitor.physics.contributions import circuit_of, new_memory
 from eha_monitor.physics.parameters import theta_of
 from eha_monitor.recordings.grid import filled
-from eha_monitor.recordings.recording import Recording, sample_of
-from eha_monitor.recordings.stops import between_stops
+from eha_monitor.recordings.recording import Recording, between_stops, sample_of
 from eha_monitor.settings.monitor import Settings
 from eha_monitor.settings.rig import Rig
 

@@ -1,10 +1,12 @@
 """One machine from many recordings: structure, parameters, their spread, and what stays open."""
 
+import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from pydantic import TypeAdapter
 
 from eha_monitor.balances.alone import FIRST_VIEW, Refused, between_forms
 from eha_monitor.balances.candidates import (
@@ -14,7 +16,7 @@ from eha_monitor.balances.candidates import (
     candidates_of,
     sum_of_pressures,
 )
-from eha_monitor.balances.course import Course, course_of, courses_of
+from eha_monitor.balances.course import Course
 from eha_monitor.balances.discrepancy import Regime, learned, regimes, signals_of
 from eha_monitor.balances.parameters import UNKNOWN, Stiffness, stiffness_of
 from eha_monitor.balances.policy import POLICY, Policy
@@ -22,9 +24,8 @@ from eha_monitor.balances.scatter import Scatter, scatter_of
 from eha_monitor.balances.table import Table, nominal_of, tables_of
 from eha_monitor.balances.together import Chosen, Named, Recordings, of_one_machine, pooled
 from eha_monitor.errors import InputError
-from eha_monitor.output import finite
-from eha_monitor.quantity import share
-from eha_monitor.recordings.recording import Recording
+from eha_monitor.output import finite, write_json
+from eha_monitor.quantity import quantity, share
 from eha_monitor.settings.monitor import Settings
 from eha_monitor.settings.rig import Rig
 
@@ -205,40 +206,6 @@ class Machine:
 def rms(values: Sequence[float]) -> float:
     """Return the root of the mean square."""
     return float(np.sqrt(np.mean(np.square(values))))
-
-
-def machine_of(recordings: Sequence[Recording], settings: Settings, vary: Sequence[str] = (),
-               without: Sequence[str] = (), policy: Policy = POLICY) -> Machine:
-    """Return the machine that several recordings of one rig show.
-
-    Parameters
-    ----------
-    vary : what is known to differ between them; ``load`` alone has a meaning here.
-    without : effects that are not considered.
-
-    Raises
-    ------
-    InputError
-        If a recording has no force balance, or there are too few.
-    """
-    if len(recordings) < policy.fewest:
-        raise InputError(f"expected at least {policy.fewest} recordings of one machine, got "
-                         f"{len(recordings)}")
-    courses = of_one_machine([course_of(recording, settings) for recording in recordings],
-                             settings.rig, policy)
-    return machine_from(courses, settings.rig, vary, without, policy)
-
-
-def healthy_machine(recordings: Sequence[Recording], settings: Settings,
-                    policy: Policy = POLICY) -> Machine:
-    """Return the machine of healthy recordings, see :func:`healthy_machine_of`.
-
-    Raises
-    ------
-    InputError
-        If no recording has a force balance, or as there.
-    """
-    return healthy_machine_of(courses_of(recordings, settings)[1], settings, policy)
 
 
 def healthy_machine_of(courses: Sequence[Course], settings: Settings, policy: Policy = POLICY
@@ -501,3 +468,61 @@ def _odd(sources: Sequence[str], balances: Sequence[MachineBalance], policy: Pol
                     found.setdefault(i, Odd(source, f"its {p.words} is {far:.1f} deviations "
                                             "from that of the others", i))
     return tuple(found.values())
+
+
+def save(machine: Machine, path: Path) -> None:
+    """Write a machine as a small JSON file."""
+    write_json(path, machine.to_dict())
+
+
+def load(path: Path, rig: Rig) -> Machine:
+    """Read a machine that :func:`save` wrote, to be compared on a rig.
+
+    Raises
+    ------
+    InputError
+        Naming the file, if it holds none, or one with other areas than the rig's, or that does not
+        say with which it was made: every force and flow of its balances would be another.
+    """
+    machine = _read(path)
+    own, within = (rig.area_1, rig.area_2), machine.policy.varied * rig.tolerance.log_spread(
+        "area_1")
+    theirs = machine.areas
+    if theirs is None and any(own):
+        raise InputError(f"{path}: a machine of an older version, which does not say for which "
+                         "areas it was made; make it again from its recordings: eha-monitor "
+                         f"diagnose {' '.join(machine.sources)} --config CONFIG --machine "
+                         f"{path}")
+    if theirs is not None and any(bool(here) != bool(there) or (
+            here and abs(np.log(here / there)) > within)
+            for here, there in zip(own, theirs, strict=True)):
+        others, mine = (" and ".join(quantity(one, "m²", 3) if one else "none" for one in areas)
+                        for areas in (theirs, own))
+        raise InputError(f"{path}: a machine with areas of {others}, expected those of the "
+                         f"config, {mine}")
+    return machine
+
+
+def _read(path: Path) -> Machine:
+    try:
+        data = json.loads(Path(path).read_text(encoding="utf-8"))
+        if data.get("schema") != SCHEMA:
+            raise ValueError(f"expected schema {SCHEMA}")
+        data["sources"] = [row["recording"] for row in data["settings"]]
+        # Files of older versions did not tell oils apart, nor hold the machine's own.
+        data["balances"] = [_with_infinities({
+            "held": one["error"], "beside": one["scatter"]} | one) for one in data["balances"]]
+        data["stiffness"] = _with_infinities(data.get("stiffness") or asdict(UNKNOWN))
+        return TypeAdapter(Machine).validate_python(data)
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as problem:
+        raise InputError(f"{path}: expected a machine, as `diagnose A B C --machine FILE` writes "
+                         f"it: {' '.join(str(problem).split())[:300]}") from problem
+
+
+def _with_infinities(tree):
+    """Return a tree with infinities for its nulls, as which they are written."""
+    if isinstance(tree, dict):
+        return {key: _with_infinities(value) for key, value in tree.items()}
+    if isinstance(tree, list):
+        return [_with_infinities(value) for value in tree]
+    return np.inf if tree is None else tree

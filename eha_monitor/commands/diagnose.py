@@ -65,7 +65,7 @@ def diagnose(bags: tuple[Path, ...], config: Path | None, json_file: Path | None
     from eha_monitor.api.diagnose import diagnose as run
     from eha_monitor.api.diagnosis_answer import completed, refusal, written_config
     from eha_monitor.api.read import distinct, finding_tree
-    from eha_monitor.balances.machine_file import save
+    from eha_monitor.balances.machine import save
     from eha_monitor.reports.diagnosis_words import channels_in_parts, not_in_config
     from eha_monitor.settings.hypothesis import load_hypothesis
     from eha_monitor.words import effect_words
@@ -155,8 +155,7 @@ def write_out_bag(place: Path | None, found, bags: Sequence[Path], settings) -> 
         click.echo(f"{place}: not written, there is no model: {found.message}")
         return
     from eha_monitor.api.diagnosis_answer import written_config
-    from eha_monitor.exports.diagnosis_bag import write_diagnosis_bag
-    from eha_monitor.mismatch.show.series import series_of
+    from eha_monitor.mismatch.show.series import series_of, write_diagnosis_bag
     from eha_monitor.recordings.read import read_recording
     from eha_monitor.settings.load import settings_of
 

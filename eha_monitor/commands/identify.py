@@ -12,9 +12,8 @@ from eha_monitor.errors import InputError
 from eha_monitor.output import finite, write_bytes, write_json, write_text
 
 if TYPE_CHECKING:
-    from eha_monitor.identify.experiment import Round
+    from eha_monitor.identify.experiment import Rig, Round
     from eha_monitor.identify.plan import Planner
-    from eha_monitor.identify.rig import Rig
     from eha_monitor.settings import Settings
 
 MOST_MOTIONS = 99
@@ -48,8 +47,8 @@ def identify(ros_args: list[str], config: Path | None, simulated: Path | None, o
     actuator. A motion is aborted at a limit, by the service identify/stop, and where data stop.
     """
     from eha_monitor.api.config import config_of
+    from eha_monitor.identify.experiment import bounds_of
     from eha_monitor.identify.plan import Planner
-    from eha_monitor.identify.rig import bounds_of
     from eha_monitor.quantity import rig_motion
 
     if simulated is not None and (ros_args or wait):
@@ -78,7 +77,7 @@ def identify(ros_args: list[str], config: Path | None, simulated: Path | None, o
                           (json_file, report_file, config_file), config)
 
     if simulated is not None:
-        from eha_monitor.identify.rig import SimulatedRig
+        from eha_monitor.identify.experiment import SimulatedRig
 
         aborted = experiment(SimulatedRig(config_of(simulated).settings, bounds, seed,
                                           str(simulated)))

@@ -47,8 +47,7 @@ def prove(config: Path | None, cases: int, seed: int, json_file: Path | None,
     common.check_target(json_file)
     common.check_target(report_file)
 
-    from eha_monitor.prove.children import write_json
-    from eha_monitor.prove.trial import Trial, cases_of, misses
+    from eha_monitor.prove.trial import Trial, cases_of, misses, write_json
     from eha_monitor.prove.trial import prove as run
     from eha_monitor.reports.proof_report import proof_page
     from eha_monitor.settings import load_settings

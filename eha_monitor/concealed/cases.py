@@ -2,7 +2,6 @@
 
 import math
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
 
 import numpy as np
 
@@ -240,7 +239,20 @@ def hidden_of(case: Case) -> list[Hidden]:
 
 def reach_of(case: Case) -> Reach:
     """Return what the motion needs on the rig of this case."""
-    return _reach(_Key(case))
+    key = repr((case.effects, case.motion, case.seed, sorted(case.rig.items()),
+                sorted((k, sorted(v.items())) for k, v in case.options.items()),
+                None if case.demand is None else np.asarray(case.demand).tobytes()))
+    if key not in _reaches:
+        fine, time, _ = fine_run(case, hidden_of(case))
+        fine = fine[time >= 0.0]
+        _reaches[key] = Reach(
+            speed=float(np.abs(fine[:, OMEGA]).max()),
+            pressure_difference=float(np.abs(fine[:, P1] - fine[:, P2]).max()),
+            lowest_pressure=float(min(fine[:, P1].min(), fine[:, P2].min())))
+    return _reaches[key]
+
+
+_reaches: dict[str, Reach] = {}  # by all that the plant of a case depends on
 
 
 def constants_of(case: Case, made: list[Hidden]) -> tuple[np.ndarray, dict[str, float]]:
@@ -292,28 +304,3 @@ def fine_run(case: Case, made: list[Hidden],
     out = np.empty((before + after + 1, 6))
     run(constants, x_d, h, out)
     return out, halves[::2], sensors
-
-
-class _Key:
-    """Hashable stand-in for a case: everything that its plant depends on."""
-
-    def __init__(self, case: Case):
-        self.case = case
-        self.text = repr((case.effects, case.motion, case.seed, sorted(case.rig.items()),
-                          sorted((k, sorted(v.items())) for k, v in case.options.items()),
-                          None if case.demand is None else np.asarray(case.demand).tobytes()))
-
-    def __eq__(self, other) -> bool:
-        return self.text == other.text
-
-    def __hash__(self) -> int:
-        return hash(self.text)
-
-
-@lru_cache(maxsize=64)
-def _reach(key: _Key) -> Reach:
-    fine, time, _ = fine_run(key.case, hidden_of(key.case))
-    fine = fine[time >= 0.0]
-    return Reach(speed=float(np.abs(fine[:, OMEGA]).max()),
-                 pressure_difference=float(np.abs(fine[:, P1] - fine[:, P2]).max()),
-                 lowest_pressure=float(min(fine[:, P1].min(), fine[:, P2].min())))

@@ -71,12 +71,21 @@ SIGNED = ("constant_load", "cross_port_leakage", "pump_flow_gain", "drive_gain",
           "asymmetric_friction")
 
 
-def _plain(mapping: dict[str, tuple[str, float]], **fixed: float) -> Callable:
-    """Return an entry whose parameters are sizes times the strength, each one constant."""
+Size = float | Callable[[Context], float]  # as it is at every strength, or by the case
+
+
+def full(size: float) -> Callable[[Context], float]:
+    """Return a size that goes with the strength."""
+    return lambda c: size * c.size
+
+
+def _sets(where: str = "plant", **symbols: tuple[str, Size]) -> Callable:
+    """Return an entry of parameters that are one constant each: symbol -> (its place, size)."""
     def build(c: Context) -> Hidden:
-        parameters = {name: c.take(name, full * c.size) for name, (_, full) in mapping.items()}
-        values = {place: parameters[name] for name, (place, _) in mapping.items()}
-        return Hidden(plant={**values, **fixed}, parameters=parameters)
+        parameters = {name: c.take(name, size(c) if callable(size) else size)
+                      for name, (_, size) in symbols.items()}
+        return Hidden(parameters=parameters, **{where: {
+            place: parameters[name] for name, (place, _) in symbols.items()}})
     return build
 
 
@@ -107,17 +116,6 @@ def _asymmetric(c: Context) -> Hidden:
                     "B_backward": damping - more})
 
 
-def _presliding(c: Context) -> Hidden:
-    force, travel = c.take("F_c", 40.0 * c.size), c.take("z_0", 50e-6)
-    return Hidden(plant={"soft_seal": force, "soft_travel": travel},
-                  parameters={"F_c": force, "z_0": travel})
-
-
-def _mass(c: Context) -> Hidden:
-    more = c.take("dM", 6.0 * c.size)
-    return Hidden(added={"mass": more}, parameters={"dM": more})
-
-
 def _backlash(c: Context) -> Hidden:
     gap, in_loop = c.take("b", 2e-4 * c.size), c.take("in_loop", False)
     return Hidden(plant={"play": gap, "play_in_loop": float(in_loop)},
@@ -129,30 +127,6 @@ def _cross_port(c: Context) -> Hidden:
     # 8 times C_T at full strength; flow L dp, so C_T/2 dp grows by 8 C_T/2 dp.
     more = c.take("L", 4.0 * c.rig["leakage"] * c.size)
     return Hidden(added={"leakage": 2.0 * more}, parameters={"L": more})
-
-
-def _relief(c: Context) -> Hidden:
-    highest = c.reach.pressure_difference
-    opens = c.take("p_c", highest * (1.0 - 0.4 * c.size))
-    gain = c.take("k", 3e-11)
-    return Hidden(plant={"relief_pressure": opens, "relief_gain": gain},
-                  parameters={"p_c": opens, "k": gain})
-
-
-def _air(c: Context) -> Hidden:
-    fraction, exponent = c.take("alpha", 0.02 * c.size), c.take("n", 1.4)
-    return Hidden(plant={"air_fraction": fraction, "air_exponent": exponent},
-                  parameters={"alpha": fraction, "n": exponent})
-
-
-def _volume(c: Context) -> Hidden:
-    area = c.take("A_v", c.rig["area"] * c.size)
-    return Hidden(plant={"volume_slope": area}, parameters={"A_v": area})
-
-
-def _loss(c: Context) -> Hidden:
-    k = c.take("k", 3e-7 * c.size)
-    return Hidden(plant={"pump_loss": k}, parameters={"k": k})
 
 
 def _line(c: Context) -> Hidden:
@@ -168,30 +142,10 @@ def _line(c: Context) -> Hidden:
                     "T_l": 1.0 / natural, "zeta": 0.5 * resistance / inertance / natural})
 
 
-def _check(c: Context) -> Hidden:
-    low, charge = c.reach.lowest_pressure, c.rig["charge_pressure"]
-    opens = c.take("p_min", low + 0.5 * c.size * (charge - low))
-    gain = c.take("k", 3e-11)
-    return Hidden(plant={"check_pressure": opens, "check_gain": gain},
-                  parameters={"p_min": opens, "k": gain})
-
-
-def _saturation(c: Context) -> Hidden:
-    limit = c.take("omega_max", c.reach.speed * (1.0 - 0.15 * c.size))
-    return Hidden(plant={"speed_limit": limit}, parameters={"omega_max": limit})
-
-
 def _drive_gain(c: Context) -> Hidden:
     gain = c.take("k", -0.08 * c.size)
     return Hidden(plant={"position_gain": c.rig["position_gain"] * (1.0 + gain)},
                   parameters={"k": gain})
-
-
-def _sensor(place: str, name: str, full: float) -> Callable:
-    def build(c: Context) -> Hidden:
-        value = c.take(name, full * c.size)
-        return Hidden(sensors={place: value}, parameters={name: value})
-    return build
 
 
 def _pressure(kind: str, symbol: str, full: float) -> Callable:
@@ -215,113 +169,68 @@ def _external(c: Context) -> Hidden:
         parameters={"L_1": leaks[1], "L_2": leaks[2], "p_tank": tank})
 
 
-def _hump(c: Context) -> Hidden:
-    force, place, width = c.take("F", 60.0 * c.size), c.take("x", 6e-3), c.take("width", 4e-3)
-    return Hidden(plant={"hump_force": force, "hump_place": place, "hump_width": width},
-                  parameters={"F": force, "x": place, "width": width})
-
-
-def _sticking_place(c: Context) -> Hidden:
-    force, place, width = c.take("F", 150.0 * c.size), c.take("x", 3e-3), c.take("width", 8e-4)
-    return Hidden(plant={"stick_force": force, "stick_place": place, "stick_width": width},
-                  parameters={"F": force, "x": place, "width": width})
-
-
-def _gapped(c: Context) -> Hidden:
-    mass, gap = c.take("M", 6.0 * c.size), c.take("gap", 6e-4)
-    return Hidden(plant={"gapped_mass": mass, "gapped_play": gap},
-                  parameters={"M": mass, "gap": gap})
-
-
-def _sticky_valve(c: Context) -> Hidden:
-    charge = c.rig["charge_pressure"]
-    reach = c.reach.pressure_difference
-    opens = c.take("p_open", charge - 0.15 * reach)
-    closes = c.take("p_close", charge + 0.15 * reach)
-    gain = c.take("k", 1e-11 * c.size)
-    return Hidden(plant={"sticky_gain": gain, "sticky_open": opens, "sticky_close": closes},
-                  parameters={"k": gain, "p_open": opens, "p_close": closes})
-
-
-def _ripple(c: Context) -> Hidden:
-    part, order = c.take("a", 0.06 * c.size), c.take("order", 7.0)
-    return Hidden(plant={"ripple": part, "ripple_order": order},
-                  parameters={"a": part, "order": order})
-
-
-def _place_leak(c: Context) -> Hidden:
-    leak = c.take("L", 20.0 * c.rig["leakage"] * c.size)
-    place, width = c.take("x", 4e-3), c.take("width", 4e-3)
-    return Hidden(
-        plant={"place_leak": leak, "place_leak_place": place, "place_leak_width": width},
-        parameters={"L": leak, "x": place, "width": width})
-
-
-def _lever(c: Context) -> Hidden:
-    """Load of a lever: a sine of the stroke (Jelali and Kroll, Hydraulic Servo-systems)."""
-    force, length = c.take("F", 60.0 * c.size), c.take("length", 30e-3)
-    return Hidden(plant={"lever_load": force, "lever_length": length},
-                  parameters={"F": force, "length": length})
-
-
-def _cushion(c: Context) -> Hidden:
-    """Damping that rises toward the ends (Merritt, Hydraulic Control Systems: end cushioning)."""
-    rise, place = c.take("d", 9e4 * c.size), c.take("x", 5e-3)
-    return Hidden(plant={"cushion": rise, "cushion_place": place},
-                  parameters={"d": rise, "x": place})
-
-
-def _widening(c: Context) -> Hidden:
-    """Gap widened by its own pressure (Ivantysyn and Ivantysynova, Hydrostatic Pumps and Motors).
-
-    The flow through a gap goes with the cube of its height, and that here with the pressure.
-    """
-    gain = c.take("L_3", 30.0 * c.rig["leakage"] * c.size / 4e5**2)
-    return Hidden(plant={"widening_gap": gain}, parameters={"L_3": gain})
-
-
 ENTRIES: dict[str, Callable[[Context], Hidden]] = {
     "coulomb_friction": _coulomb,
     "stribeck_friction": _stribeck,
-    "quadratic_friction": _plain({"a_1": ("quadratic", 8000.0)}),
+    "quadratic_friction": _sets(a_1=("quadratic", full(8000.0))),
     "asymmetric_friction": _asymmetric,
-    "pressure_friction": _plain({"mu": ("seal_per_pressure", 1e-5)}),
-    "presliding_friction": _presliding,
-    "constant_load": _plain({"F_0": ("constant_load", 40.0)}),
-    "spring_load": _plain({"k": ("stiffness", 8000.0)}),
-    "added_mass": _mass,
+    "pressure_friction": _sets(mu=("seal_per_pressure", full(1e-5))),
+    "presliding_friction": _sets(F_c=("soft_seal", full(40.0)), z_0=("soft_travel", 50e-6)),
+    "constant_load": _sets(F_0=("constant_load", full(40.0))),
+    "spring_load": _sets(k=("stiffness", full(8000.0))),
+    "added_mass": _sets("added", dM=("mass", full(6.0))),
     "backlash": _backlash,
     "cross_port_leakage": _cross_port,
-    "turbulent_leakage": _plain({"c": ("turbulent", 3e-9)}),
-    "leakage_offset": _plain({"Q_0": ("leakage_offset", 1e-6)}),
+    "turbulent_leakage": _sets(c=("turbulent", full(3e-9))),
+    "leakage_offset": _sets(Q_0=("leakage_offset", full(1e-6))),
     "external_leakage": _external,
-    "relief_valve": _relief,
-    "entrained_air": _air,
-    "position_dependent_volume": _volume,
-    "pump_dead_zone": _plain({"omega_0": ("dead_zone", 8.0)}),
-    "pump_flow_gain": _plain({"k": ("pump_gain", -0.08)}),
-    "pump_volumetric_loss": _loss,
+    "relief_valve": _sets(
+        p_c=("relief_pressure", lambda c: c.reach.pressure_difference * (1.0 - 0.4 * c.size)),
+        k=("relief_gain", 3e-11)),
+    "entrained_air": _sets(alpha=("air_fraction", full(0.02)), n=("air_exponent", 1.4)),
+    "position_dependent_volume": _sets(A_v=("volume_slope", lambda c: c.rig["area"] * c.size)),
+    "pump_dead_zone": _sets(omega_0=("dead_zone", full(8.0))),
+    "pump_flow_gain": _sets(k=("pump_gain", full(-0.08))),
+    "pump_volumetric_loss": _sets(k=("pump_loss", full(3e-7))),
     "line_dynamics": _line,
-    "anti_cavitation": _check,
-    "drive_lag": _plain({"tau": ("drive_lag", 4e-3)}),
-    "drive_saturation": _saturation,
+    "anti_cavitation": _sets(
+        p_min=("check_pressure", lambda c: c.reach.lowest_pressure + 0.5 * c.size * (
+            c.rig["charge_pressure"] - c.reach.lowest_pressure)),
+        k=("check_gain", 3e-11)),
+    "drive_lag": _sets(tau=("drive_lag", full(4e-3))),
+    "drive_saturation": _sets(
+        omega_max=("speed_limit", lambda c: c.reach.speed * (1.0 - 0.15 * c.size))),
     "drive_gain": _drive_gain,
-    "command_delay": _sensor("command_delay", "T", 4e-3),
-    "feedback_delay": _plain({"T": ("feedback_delay", 2e-3)}),
-    "position_delay": _sensor("position_delay", "T", 2e-3),
-    "pressure_delay": _sensor("pressure_delay", "T", 2e-3),
-    "position_scale": _sensor("position_scale", "k", 0.03),
+    "command_delay": _sets("sensors", T=("command_delay", full(4e-3))),
+    "feedback_delay": _sets(T=("feedback_delay", full(2e-3))),
+    "position_delay": _sets("sensors", T=("position_delay", full(2e-3))),
+    "pressure_delay": _sets("sensors", T=("pressure_delay", full(2e-3))),
+    "position_scale": _sets("sensors", k=("position_scale", full(0.03))),
     "pressure_offset": _pressure("offset", "b", 4e4),
     "pressure_scale": _pressure("scale", "k", 0.08),
     "pressure_drift": _pressure("drift", "d", 3e3),
-    "position_quantisation": _sensor("resolution", "q", 20e-6),
-    "position_friction_hump": _hump,
-    "sticking_place": _sticking_place,
-    "gapped_load": _gapped,
-    "sticking_check_valve": _sticky_valve,
-    "pump_ripple": _ripple,
-    "position_dependent_leak": _place_leak,
-    "lever_load": _lever,
-    "end_cushion": _cushion,
-    "widening_gap": _widening,
+    "position_quantisation": _sets("sensors", q=("resolution", full(20e-6))),
+    "position_friction_hump": _sets(F=("hump_force", full(60.0)), x=("hump_place", 6e-3),
+                                    width=("hump_width", 4e-3)),
+    "sticking_place": _sets(F=("stick_force", full(150.0)), x=("stick_place", 3e-3),
+                            width=("stick_width", 8e-4)),
+    "gapped_load": _sets(M=("gapped_mass", full(6.0)), gap=("gapped_play", 6e-4)),
+    "sticking_check_valve": _sets(
+        k=("sticky_gain", full(1e-11)),
+        p_open=("sticky_open", lambda c: (
+            c.rig["charge_pressure"] - 0.15 * c.reach.pressure_difference)),
+        p_close=("sticky_close", lambda c: (
+            c.rig["charge_pressure"] + 0.15 * c.reach.pressure_difference))),
+    "pump_ripple": _sets(a=("ripple", full(0.06)), order=("ripple_order", 7.0)),
+    "position_dependent_leak": _sets(
+        L=("place_leak", lambda c: 20.0 * c.rig["leakage"] * c.size),
+        x=("place_leak_place", 4e-3), width=("place_leak_width", 4e-3)),
+    # A sine of the stroke (Jelali and Kroll, Hydraulic Servo-systems).
+    "lever_load": _sets(F=("lever_load", full(60.0)), length=("lever_length", 30e-3)),
+    # Damping that rises toward the ends (Merritt, Hydraulic Control Systems: end cushioning).
+    "end_cushion": _sets(d=("cushion", full(9e4)), x=("cushion_place", 5e-3)),
+    # Gap widened by its own pressure (Ivantysyn and Ivantysynova, Hydrostatic Pumps and Motors):
+    # the flow goes with the cube of its height, and that here with the pressure.
+    "widening_gap": _sets(L_3=("widening_gap", lambda c: (
+        30.0 * c.rig["leakage"] * c.size / 4e5**2))),
 }

@@ -12,8 +12,7 @@ from html import escape
 
 import numpy as np
 
-from eha_monitor.dashboard.history import Row
-from eha_monitor.dashboard.state import POSITION_SPAN, STAGES
+from eha_monitor.dashboard.state import POSITION_SPAN, STAGES, Row
 from eha_monitor.quantity import FLOOR, Scale, readable
 
 _INK, _LINE, _MEASURED = "#37474f", "#1565c0", "#6d4c41"

@@ -9,8 +9,7 @@ from nicegui import ui
 
 from eha_monitor.dashboard import charts, words
 from eha_monitor.dashboard.events import MISMATCH
-from eha_monitor.dashboard.history import Span, thinned
-from eha_monitor.dashboard.state import STAGES, Actuator, State, View, alarms
+from eha_monitor.dashboard.state import STAGES, Actuator, Span, State, View, alarms, thinned
 from eha_monitor.health.alarms import ALARM_NAMES, NO_LIMIT, WATCHED, Watched
 from eha_monitor.health.judge import DIAGNOSIS
 from eha_monitor.quantity import NOTE, SYMBOLS, readable

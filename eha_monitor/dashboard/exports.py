@@ -6,11 +6,11 @@ from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING
 
 from eha_monitor.dashboard.events import ACKNOWLEDGED, MISMATCH, csv_text, utc
-from eha_monitor.dashboard.history import Row
 from eha_monitor.dashboard.state import (
     ESTIMATES_EVERY,
     HEALTH_STALE_AFTER,
     STAGES,
+    Row,
     State,
     View,
     alarms,

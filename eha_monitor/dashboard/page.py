@@ -9,8 +9,7 @@ from nicegui import ui
 from eha_monitor.dashboard import words
 from eha_monitor.dashboard.detail import Detail, Level, button, heading, tagged, text
 from eha_monitor.dashboard.events import QUALITY, EventLog
-from eha_monitor.dashboard.history import CHOICES, Span
-from eha_monitor.dashboard.state import Actuator, View
+from eha_monitor.dashboard.state import CHOICES, Actuator, Span, View
 from eha_monitor.health.alarms import WATCHED
 
 STYLE, SCRIPT = (Path(__file__).with_name(f"page.{kind}") for kind in ("css", "js"))

@@ -10,9 +10,8 @@ from pydantic_core import PydanticCustomError
 from eha_monitor.errors import InputError
 from eha_monitor.quantity import quantity
 from eha_monitor.settings.channels import CHANNELS, unit_of
-from eha_monitor.settings.lost_units import beyond
 from eha_monitor.settings.rig import Rig
-from eha_monitor.units import TURNING, to_si
+from eha_monitor.units import TURNING, beyond, to_si
 
 # What a data sheet of a cylinder has, and the config's numbers follow from; unit, and words.
 SHEET = {"bore": ("m", "bore of the cylinder"), "rod": ("m", "diameter of the rod"),

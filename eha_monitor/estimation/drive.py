@@ -15,15 +15,6 @@ from eha_monitor.physics import signals as s
 from eha_monitor.physics.balances import drive_speed
 from eha_monitor.physics.contributions import N_EFFECTS
 from eha_monitor.physics.plant import shaft_speed
-from eha_monitor.physics.signals import (
-    DRIVE_LAG,
-    MAX_MEMORY,
-    N_CONTRIBUTIONS,
-    N_SIGNALS,
-    OMEGA,
-    SLEW_LIMIT,
-    SPEED,
-)
 
 JUMP = 20.0  # times the neighbouring steps: a jump, held until its stamp
 KINK = 4.0  # times the neighbouring bends: a corner, which linear interpolation already meets
@@ -256,9 +247,9 @@ def follow(course, dt, theta, pump, w, kept):
     n = start.shape[0]
     line_start, line_end = np.full(n, np.nan), np.full(n, np.nan)
     h = dt / PARTS
-    row, c = np.zeros(N_SIGNALS), np.zeros(N_CONTRIBUTIONS)
-    memory = np.zeros((N_EFFECTS + 1, MAX_MEMORY))
-    lag, slew = w[DRIVE_LAG], w[SLEW_LIMIT]
+    row, c = np.zeros(s.N_SIGNALS), np.zeros(s.N_CONTRIBUTIONS)
+    memory = np.zeros((N_EFFECTS + 1, s.MAX_MEMORY))
+    lag, slew = w[s.DRIVE_LAG], w[s.SLEW_LIMIT]
     slow = lag > 0.0 or slew < np.inf
     keep = math.exp(-h / lag) if lag > 0.0 else 0.0
     omega = kept[0, 0]
@@ -280,9 +271,9 @@ def follow(course, dt, theta, pump, w, kept):
                         omega = first
                     omega, value = lagging(omega, first, last, h, lag, keep, slew)
             if len(pump) > 0:
-                row[OMEGA] = value
+                row[s.OMEGA] = value
                 contributions(row, theta, pump, memory, c)
-                value += c[SPEED]
+                value += c[s.SPEED]
             mean += value / PARTS
             tilt += ((j + 0.5) / PARTS - 0.5) * value / PARTS
         tilt /= spread

@@ -13,6 +13,7 @@ import numpy as np
 from eha_monitor.compiled import njit
 from eha_monitor.estimation.discretisation import BETA_0, EXTRA_C, GAIN, STIFF
 from eha_monitor.estimation.small_matrices import copied
+from eha_monitor.physics import signals as of
 from eha_monitor.physics import signals as s
 from eha_monitor.physics.contributions import (
     N_EFFECTS,
@@ -21,29 +22,6 @@ from eha_monitor.physics.contributions import (
     update_memory,
     with_term,
     with_update,
-)
-from eha_monitor.physics.signals import (
-    AREA_1,
-    AREA_2,
-    COMPLIANCE_1,
-    COMPLIANCE_2,
-    FLOW_1,
-    FLOW_2,
-    FORCE,
-    N_CONTRIBUTIONS,
-    N_SIGNALS,
-    OMEGA,
-    P1,
-    P2,
-    P_CHARGE,
-    SPEED,
-    VOL_1,
-    VOL_2,
-    VOLUME_1,
-    VOLUME_2,
-    M,
-    V,
-    X,
 )
 
 PATH = N_EFFECTS  # row of the memory that holds how far the predicted motion has gone, m
@@ -130,7 +108,7 @@ def new_known_memory() -> np.ndarray:
 @njit
 def new_work(memory):
     """Return scratch for effects with this memory."""
-    return Work(memory.copy(), np.zeros(N_SIGNALS), np.zeros(N_CONTRIBUTIONS))
+    return Work(memory.copy(), np.zeros(of.N_SIGNALS), np.zeros(of.N_CONTRIBUTIONS))
 
 
 @njit(allocates=False)
@@ -150,15 +128,15 @@ def force_at(x, path, v, effects, memory, work):
     """Return the modelled force in N at position ``x``, place on the path and velocity."""
     s, c = work.s, work.c
     force = 0.0
-    s[V] = v
+    s[of.V] = v
     if len(effects.plain) > 0:
-        s[X] = x
+        s[of.X] = x
         contributions(s, effects.theta, effects.plain, memory, c)
-        force = c[FORCE]
+        force = c[of.FORCE]
     if len(effects.remembering) > 0:
-        s[X] = path
+        s[of.X] = path
         contributions(s, effects.theta, effects.remembering, memory, c)
-        force += c[FORCE]
+        force += c[of.FORCE]
     return force
 
 
@@ -166,10 +144,10 @@ def force_at(x, path, v, effects, memory, work):
 def steps_in_sample(dt, effects, memory, work):
     """Return how many steps follow a friction that turns over sharply at v = 0."""
     h = 1e-6
-    work.s[P1] = work.s[P2] = effects.theta[P_CHARGE]
+    work.s[of.P1] = work.s[of.P2] = effects.theta[of.P_CHARGE]
     ahead = force_at(0.0, FAR, h, effects, memory, work)
     behind = force_at(0.0, FAR, -h, effects, memory, work)
-    rate = abs(ahead - behind) / (2.0 * h) / effects.theta[M]
+    rate = abs(ahead - behind) / (2.0 * h) / effects.theta[of.M]
     fewest = FEWEST_REMEMBERING if len(effects.remembering) > 0 else FEWEST
     if not rate * dt < 1e6:
         return MOST
@@ -205,7 +183,7 @@ def mean_force(x, v, push, effects, memory, work):
         path += along
         total += 0.5 * (here + ahead)
         if len(effects.remembering) > 0:
-            work.s[X], work.s[V] = path, v
+            work.s[of.X], work.s[of.V] = path, v
             remember(work.s, effects.theta, effects.remembering, h, memory)
     memory[PATH, 0] = path
     return total / steps
@@ -234,18 +212,18 @@ def modelled_force(motion, push, effects, memory, slopes, work):
     slope_v /= 2.0 * h
     if len(effects.plain) > 0:
         h_x = max(math.sqrt(max(var_x, 0.0)), 1e-9)
-        s[V] = v
+        s[of.V] = v
         for side in (1.0, -1.0):
-            s[X] = x + side * h_x
+            s[of.X] = x + side * h_x
             contributions(s, theta, effects.plain, memory, c)
-            slope_x += side * c[FORCE]
+            slope_x += side * c[of.FORCE]
         slope_x /= 2.0 * h_x
     if len(effects.remembering) > 0:
-        s[X] = memory[PATH, 0] + FAR
+        s[of.X] = memory[PATH, 0] + FAR
         for side in (1.0, -1.0):
-            s[V] = v + 2.0 * side * h
+            s[of.V] = v + 2.0 * side * h
             contributions(s, theta, effects.remembering, memory, c)
-            unknown += 0.5 * side * c[FORCE]
+            unknown += 0.5 * side * c[of.FORCE]
         unknown = STICKING * max(abs(unknown) - 2.0 * h * abs(slope_v), 0.0)
     force = mean_force(x, v, push, effects, memory, work)
     return force, slope_x, slope_v, unknown * unknown
@@ -265,20 +243,20 @@ def flow_balance(oil, k, effects, memory, work):
     k : lumped hydraulics.
     """
     s, c, theta = work.s, work.c, effects.theta
-    a_1, a_2 = theta[AREA_1], theta[AREA_2]
-    s[X], s[V], s[OMEGA] = oil.x, oil.v, oil.omega
-    s[P1] = (oil.force + 2.0 * a_2 * oil.mean) / (a_1 + a_2)
-    s[P2] = 2.0 * oil.mean - s[P1]
+    a_1, a_2 = theta[of.AREA_1], theta[of.AREA_2]
+    s[of.X], s[of.V], s[of.OMEGA] = oil.x, oil.v, oil.omega
+    s[of.P1] = (oil.force + 2.0 * a_2 * oil.mean) / (a_1 + a_2)
+    s[of.P2] = 2.0 * oil.mean - s[of.P1]
     contributions(s, theta, effects.flows, memory, c)
-    soft_1 = (theta[VOL_1] + c[VOLUME_1]) * (oil.compliance / k[BETA_0] + c[COMPLIANCE_1])
-    soft_2 = (theta[VOL_2] + c[VOLUME_2]) * (oil.compliance / k[BETA_0] + c[COMPLIANCE_2])
+    soft_1 = (theta[of.VOL_1] + c[of.VOLUME_1]) * (oil.compliance / k[BETA_0] + c[of.COMPLIANCE_1])
+    soft_2 = (theta[of.VOL_2] + c[of.VOLUME_2]) * (oil.compliance / k[BETA_0] + c[of.COMPLIANCE_2])
     stiff = a_1 * a_1 / soft_1 + a_2 * a_2 / soft_2
     lumped = k[BETA_0] * k[STIFF] / stiff
     slope = k[STIFF] / (stiff * stiff) * (
-        a_1 * a_1 * (theta[VOL_1] + c[VOLUME_1]) / (soft_1 * soft_1)
-        + a_2 * a_2 * (theta[VOL_2] + c[VOLUME_2]) / (soft_2 * soft_2))
-    flow = (a_1 * c[FLOW_1] / soft_1 - a_2 * c[FLOW_2] / soft_2) * k[STIFF] / stiff
-    return lumped - k[EXTRA_C], slope, flow + k[GAIN] * c[SPEED]
+        a_1 * a_1 * (theta[of.VOL_1] + c[of.VOLUME_1]) / (soft_1 * soft_1)
+        + a_2 * a_2 * (theta[of.VOL_2] + c[of.VOLUME_2]) / (soft_2 * soft_2))
+    flow = (a_1 * c[of.FLOW_1] / soft_1 - a_2 * c[of.FLOW_2] / soft_2) * k[STIFF] / stiff
+    return lumped - k[EXTRA_C], slope, flow + k[GAIN] * c[of.SPEED]
 
 
 @njit(nogil=True)

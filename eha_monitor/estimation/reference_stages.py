@@ -15,60 +15,13 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from eha_monitor.compiled import njit
+from eha_monitor.estimation import modelled as modelled
+from eha_monitor.estimation import stage_one as one
+from eha_monitor.estimation import stage_two as two
+from eha_monitor.estimation import supervision as watch
 from eha_monitor.estimation.discretisation import BETA_0, C_PLACE, MASS, column, place
 from eha_monitor.estimation.inputs import StageInputs
-from eha_monitor.estimation.modelled import (
-    Effects,
-    Motion,
-    Push,
-    modelled_force,
-    new_work,
-    steps_in_sample,
-)
 from eha_monitor.estimation.small_matrices import symmetric, times, times_transposed
-from eha_monitor.estimation.stage_one import (
-    GATE,
-    MEMORY,
-    NEGATIVE,
-    SPIKES,
-    UNSEEN,
-    ConstantsOne,
-    RowsOne,
-    StateOne,
-    jump_one,
-    predict_one,
-    predict_one_euler,
-    slopes_one,
-    start_one,
-)
-from eha_monitor.estimation.stage_two import (
-    CONSTANT_FLOW,
-    CONSTANT_FORCE,
-    MODELLED_FORCE,
-    NOISE_FORCE,
-    STEPS,
-    STIFFEST,
-    ConstantsTwo,
-    RowsTwo,
-    SampleTwo,
-    StateTwo,
-    advance_two,
-    jump_two,
-    new_steps_work,
-    restart_two,
-)
-from eha_monitor.estimation.supervision import (
-    BLOCK,
-    FROZEN,
-    HELD,
-    INFORMATION,
-    SAMPLES,
-    SCORE,
-    SLOW,
-    SPIKED,
-    honest_factor,
-    look,
-)
 from eha_monitor.physics import signals as s
 from eha_monitor.physics.signals import P1, P2
 from eha_monitor.settings.monitor import Settings
@@ -106,17 +59,17 @@ def _correct(ekf: "ExtendedKalmanFilter", z: float, at: int, w: np.ndarray) -> b
     """
     nu, sd = _innovation(ekf, z)
     s = sd * sd
-    if nu * nu > GATE * s and w[SPIKED] < SPIKES:
-        w[SPIKED] += 1
+    if nu * nu > one.GATE * s and w[watch.SPIKED] < one.SPIKES:
+        w[watch.SPIKED] += 1
         return False
-    w[SPIKED] = 0
+    w[watch.SPIKED] = 0
     h = ekf.P[0, at] / ekf.P[at, at]
-    w[SCORE] += h * nu / s
-    w[INFORMATION] += h * h / s
+    w[watch.SCORE] += h * nu / s
+    w[watch.INFORMATION] += h * h / s
     measured = np.eye(1, len(ekf.x))
     own = ekf.x[at], ekf.P[at, at]
     ekf.update(np.array([z]), lambda x: measured, lambda x: x[:1])
-    if w[FROZEN] == HELD:  # considered, not estimated: no gain
+    if w[watch.FROZEN] == watch.HELD:  # considered, not estimated: no gain
         ekf.K[at] = 0.0
         ekf.x[at], ekf.P[at, at] = own
     return True
@@ -125,11 +78,11 @@ def _correct(ekf: "ExtendedKalmanFilter", z: float, at: int, w: np.ndarray) -> b
 def _at_block_end(w: np.ndarray, value: float, variance: float, prior_variance: float
                   ) -> tuple[float, float, int] | None:
     """Count a sample; return (delta, information, samples) of a change that a block shows."""
-    w[SAMPLES] += 1
-    if w[SAMPLES] < BLOCK:
+    w[watch.SAMPLES] += 1
+    if w[watch.SAMPLES] < watch.BLOCK:
         return None
-    w[SAMPLES] = 0
-    change = look(w, value, variance, prior_variance)
+    w[watch.SAMPLES] = 0
+    change = watch.look(w, value, variance, prior_variance)
     return change if change[1] > 0.0 else None
 
 
@@ -147,33 +100,33 @@ def _unpacked(p: np.ndarray) -> np.ndarray:
     return np.array([[p[0], p[1], p[2]], [p[1], p[3], p[4]], [p[2], p[4], p[5]]])
 
 
-def run_one(rows: RowsOne, constants: ConstantsOne, effects: Effects, state: StateOne,
-            first: int, out: np.ndarray, events: np.ndarray) -> int:
+def run_one(rows: one.RowsOne, constants: one.ConstantsOne, effects: modelled.Effects,
+            state: one.StateOne, first: int, out: np.ndarray, events: np.ndarray) -> int:
     """Run stage one; arguments and answer as those of :func:`stage_one.run_one`."""
     dt, mass, R, prior_variance, euler = constants
     w, memory, z = state.watch, state.memory, rows.z
     ekf = _filter(state.x, _unpacked(state.P), R)
-    work, found = new_work(memory), 0
-    steps = steps_in_sample(dt, effects, memory, work)
-    lowest = -NEGATIVE * mass / dt
+    work, found = modelled.new_work(memory), 0
+    steps = modelled.steps_in_sample(dt, effects, memory, work)
+    lowest = -one.NEGATIVE * mass / dt
 
     def advance(u0, u1, q, p1, p2):
         x, v, b = ekf.x
         slope_x = slope_v = unknown = 0.0
         if len(effects.plain) + len(effects.remembering) > 0:
             work.s[P1], work.s[P2] = p1, p2
-            force, slope_x, slope_v, unknown = modelled_force(
-                Motion(x, v, ekf.P[0, 0], ekf.P[1, 1]), Push(u0, u1, b, mass, dt, steps), effects,
-                memory, True, work)
+            force, slope_x, slope_v, unknown = modelled.modelled_force(
+                modelled.Motion(x, v, ekf.P[0, 0], ekf.P[1, 1]),
+                modelled.Push(u0, u1, b, mass, dt, steps), effects, memory, True, work)
             u0, u1 = u0 - force, u1 - force
         if euler:
-            x1, v1, fxv, fxb, fvv, fvb, *g = predict_one_euler(x, v, b, u0, dt, mass)
+            x1, v1, fxv, fxb, fvv, fvb, *g = one.predict_one_euler(x, v, b, u0, dt, mass)
         else:
-            x1, v1, fxv, fxb, fvv, fvb, *g = predict_one(x, v, b, u0, u1, dt, mass)
-        w[SLOW] += MEMORY * (v - w[SLOW])
+            x1, v1, fxv, fxb, fvv, fvb, *g = one.predict_one(x, v, b, u0, u1, dt, mass)
+        w[watch.SLOW] += one.MEMORY * (v - w[watch.SLOW])
         if not euler:
             P_vv = ekf.P[1, 1] - ekf.P[1, 2] ** 2 / ekf.P[2, 2]
-            fxb, fvb = slopes_one(v, w[SLOW], P_vv, b, fxb, fvb, dt, mass)
+            fxb, fvb = one.slopes_one(v, w[watch.SLOW], P_vv, b, fxb, fvb, dt, mass)
         F = np.array([[1.0, fxv, fxb], [0.0, fvv, fvb], [0.0, 0.0, 1.0]])
         g = np.array([*g, 0.0])
         F -= np.outer(g, [slope_x, slope_v, 0.0])  # the modelled force follows the states
@@ -195,7 +148,7 @@ def run_one(rows: RowsOne, constants: ConstantsOne, effects: Effects, state: Sta
         out[4:, k] = math.nan
         if not math.isnan(z[k]):
             if lost:
-                with_packed(start_one, z[k], R, dt)
+                with_packed(one.start_one, z[k], R, dt)
             else:
                 out[4:, k] = _innovation(ekf, z[k])
                 if _correct(ekf, z[k], B_PLACE, w):
@@ -206,32 +159,32 @@ def run_one(rows: RowsOne, constants: ConstantsOne, effects: Effects, state: Sta
         if change is not None:
             delta, information, window = change
             found = _note(events, found, (k, ekf.x[B_PLACE], ekf.x[B_PLACE] + delta, window))
-            with_packed(jump_one, delta, information)
+            with_packed(one.jump_one, delta, information)
             ekf.x[B_PLACE] = max(ekf.x[B_PLACE], lowest)
         out[:3, k] = ekf.x
-        out[3, k] = honest_factor(w) * math.sqrt(ekf.P[B_PLACE, B_PLACE])
+        out[3, k] = watch.honest_factor(w) * math.sqrt(ekf.P[B_PLACE, B_PLACE])
     state.x[:], state.P[:] = ekf.x, _packed(ekf.P)
     return found
 
 
-def run_two(rows: RowsTwo, constants: ConstantsTwo, effects: Effects, state: StateTwo,
-            first: int, out: np.ndarray, events: np.ndarray) -> int:
+def run_two(rows: two.RowsTwo, constants: two.ConstantsTwo, effects: modelled.Effects,
+            state: two.StateTwo, first: int, out: np.ndarray, events: np.ndarray) -> int:
     """Run stage two; arguments and answer as those of :func:`stage_two.run_two`."""
     z, b, w, sens, matrices, at = (rows.z, rows.b, state.watch, state.sens, state.matrices,
                                    state.at)
     ekf = _filter(state.x, state.P, constants.R)
-    work, steps_work, found = new_work(state.memory), new_steps_work(constants.k), 0
-    at[STEPS] = steps_in_sample(constants.dt, effects, state.memory, work)
+    work, steps_work, found = modelled.new_work(state.memory), two.new_steps_work(constants.k), 0
+    at[two.STEPS] = modelled.steps_in_sample(constants.dt, effects, state.memory, work)
     beside_c = range(len(state.x) - 1)
     places, columns = [place(i) for i in beside_c], [column(i) for i in beside_c]
 
-    def advance(sample: SampleTwo) -> bool:
+    def advance(sample: two.SampleTwo) -> bool:
         new = state._replace(x=ekf.x.copy(), P=ekf.P.copy(), sens=sens.copy())
-        if not advance_two(new, sample, constants, effects, True, work, steps_work):
+        if not two.advance_two(new, sample, constants, effects, True, work, steps_work):
             return False
         step, slope = matrices[5:].reshape(2, -1, len(beside_c)).transpose(0, 2, 1)
         force, flow, noise_force = (at[which] for which in (
-            CONSTANT_FORCE, CONSTANT_FLOW, NOISE_FORCE))
+            two.CONSTANT_FORCE, two.CONSTANT_FLOW, two.NOISE_FORCE))
         F, g_u, g_f = np.eye(len(new.x)), np.zeros(len(new.x)), np.zeros(len(new.x))
         F[np.ix_(places, places)] = step[:, columns]
         F[places, C_PLACE] = (slope[:, columns] @ ekf.x[places]
@@ -240,7 +193,7 @@ def run_two(rows: RowsTwo, constants: ConstantsTwo, effects: Effects, state: Sta
         lean = bend @ ekf.P[places, C_PLACE]
         noise = (bend @ ekf.P[np.ix_(places, places)] @ bend - lean**2 / ekf.P[C_PLACE, C_PLACE]
                  + sample.Q_u * (slope[2, 3] + slope[2, 4]) ** 2)
-        if F[2, C_PLACE] ** 2 < UNSEEN * noise:
+        if F[2, C_PLACE] ** 2 < one.UNSEEN * noise:
             F[places, C_PLACE] = 0.0
         g_u[places], g_f[places] = step[:, 3] + step[:, 4], step[:, 5]
         sens[:] = new.sens
@@ -251,21 +204,21 @@ def run_two(rows: RowsTwo, constants: ConstantsTwo, effects: Effects, state: Sta
     for k in range(first, len(z)):
         lost = math.isnan(ekf.x[0])
         if not lost and k > 0:
-            sample = SampleTwo(rows.u_start[k - 1], rows.u_end[k], rows.instrument[k - 1, 0],
+            sample = two.SampleTwo(rows.u_start[k - 1], rows.u_end[k], rows.instrument[k - 1, 0],
                                rows.instrument[k, 1], rows.Q_u[k], b[k], rows.leak_flow[k],
                                rows.mean[k if len(rows.mean) > 1 else 0])
             lost = math.isnan(sum(sample[:4]) + b[k] + rows.leak_flow[k]) or not advance(sample)
         if lost:
-            at[MODELLED_FORCE] = 0.0
+            at[two.MODELLED_FORCE] = 0.0
         out[6:, k] = math.nan
         if not math.isnan(z[k]):
             if lost:
-                restart_two(state._replace(x=ekf.x, P=ekf.P), z[k], constants)
+                two.restart_two(state._replace(x=ekf.x, P=ekf.P), z[k], constants)
             else:
                 out[6:, k] = _innovation(ekf, z[k])
                 if _correct(ekf, z[k], C_PLACE, w):
                     sens -= ekf.K[:, 0] * sens[0]
-                    ekf.x[C_PLACE] = max(ekf.x[C_PLACE], STIFFEST)
+                    ekf.x[C_PLACE] = max(ekf.x[C_PLACE], two.STIFFEST)
         elif lost:
             ekf.x[0] = math.nan
         change = _at_block_end(w, ekf.x[C_PLACE], ekf.P[C_PLACE, C_PLACE],
@@ -273,14 +226,14 @@ def run_two(rows: RowsTwo, constants: ConstantsTwo, effects: Effects, state: Sta
         if change is not None:
             delta, information, window = change
             before = constants.k[BETA_0] / ekf.x[C_PLACE]
-            jump_two(ekf.x, ekf.P, delta, information)
+            two.jump_two(ekf.x, ekf.P, delta, information)
             found = _note(events, found,
                           (k, before, constants.k[BETA_0] / ekf.x[C_PLACE], window))
-        compliance, factor = max(ekf.x[C_PLACE], 1e-9), honest_factor(w)
+        compliance, factor = max(ekf.x[C_PLACE], 1e-9), watch.honest_factor(w)
         beta = constants.k[BETA_0] / compliance
         own = factor**2 * ekf.P[C_PLACE, C_PLACE]
         out[:2, k] = ekf.x[:2]
-        out[2, k] = (ekf.x[2] - b[k] * ekf.x[1] - at[MODELLED_FORCE]) / constants.k[MASS]
+        out[2, k] = (ekf.x[2] - b[k] * ekf.x[1] - at[two.MODELLED_FORCE]) / constants.k[MASS]
         out[3, k] = beta
         out[4, k] = beta / compliance * math.sqrt(own)
         out[5, k] = beta / compliance * math.sqrt(own + sens[C_PLACE] ** 2 * rows.b_variance[k])

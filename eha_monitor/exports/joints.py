@@ -6,11 +6,8 @@ MuJoCo take damping and friction of it, ros2_control a feed-forward table.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from io import StringIO
 
 import numpy as np
-from ruamel.yaml import YAML
-from ruamel.yaml.comments import CommentedMap, CommentedSeq
 
 from eha_monitor import __version__
 from eha_monitor.exports.model import Exported, Model, rendered
@@ -23,9 +20,9 @@ from eha_monitor.physics.contributions import (
 )
 from eha_monitor.physics.effects import NAMES
 from eha_monitor.physics.effects.friction import V_E
-from eha_monitor.physics.excitation import demanded_position, total_duration
 from eha_monitor.physics.own_term import BALANCES
 from eha_monitor.physics.parameters import theta_of
+from eha_monitor.physics.simulator import demanded_position, total_duration
 from eha_monitor.quantity import quantity
 from eha_monitor.recordings.grid import filled
 from eha_monitor.recordings.recording import Recording
@@ -277,36 +274,27 @@ def feedforward_of(model: Model, joint: str, recordings: Sequence[Recording] = (
     velocity = table_velocities(max(fastest, 1e-6))
     law = law_of(model, velocity)
     unit = ("rad/s", "N·m", "N·m·s/rad", "kg·m²") if model.rotary else ("m/s", "N", "N·s/m", "kg")
-    table = CommentedMap()
-    _add(table, "joint", joint, "")
-    _add(table, "velocity", _row(velocity), f"{unit[0]}, ascending")
-    _add(table, "force", _row(law.force), f"{unit[1]} to keep that velocity at x = 0: B v and "
-         "all named effects of the force balance")
-    _add(table, "friction", _row(law.dry), f"{unit[1]} of it: what is neither B v nor the load")
-    _add(table, "viscous_damping", float(law.viscous), f"{unit[2]}, B")
-    _add(table, "load", _rounded(law.load), f"{unit[1]} at rest, against positive motion")
-    _add(table, "moving_mass", _rounded(law.mass), f"{unit[3]}, for a force with the acceleration")
+    rows = [("velocity", velocity, f"{unit[0]}, ascending"),
+            ("force", law.force, f"{unit[1]} to keep that velocity at x = 0: B v and all named "
+             "effects of the force balance"),
+            ("friction", law.dry, f"{unit[1]} of it: what is neither B v nor the load"),
+            ("viscous_damping", float(law.viscous), f"{unit[2]}, B"),
+            ("load", law.load, f"{unit[1]} at rest, against positive motion"),
+            ("moving_mass", law.mass, f"{unit[3]}, for a force with the acceleration")]
     if recordings:
         seconds = covered_seconds(velocity, seen, [one.sample_time for one in recordings])
-        _add(table, "covered_seconds", _row(seconds), "s of the recordings near each velocity")
-        _add(table, "covered", _flow([bool(one >= ENOUGH) for one in seconds]),
-             f"at least {ENOUGH:g} s: elsewhere the law is extrapolated")
-    gains = CommentedMap({"gains": CommentedMap({joint: CommentedMap()})})
-    _add(gains["gains"][joint], "ff_velocity_scale", float(law.viscous),
-         f"{unit[2]}: B, with the command interface effort only", indent=8)
-    tree = CommentedMap({NODE: CommentedMap({"ros__parameters": table}),
-                         CONTROLLER: CommentedMap({"ros__parameters": gains})})
+        rows += [("covered_seconds", seconds, "s of the recordings near each velocity"),
+                 ("covered", seconds >= ENOUGH, f"at least {ENOUGH:g} s: elsewhere the law is "
+                  "extrapolated")]
     lost = _lost_of_table(model, law, unit[1], bool(recordings))
     head = [f"Friction feed-forward of {model.settings.rig.name}: eha_monitor {__version__}, "
             f"from {model.source}.",
             f"{NODE}: a table for a node of your own; no controller of ros2_controllers reads it.",
             f"{CONTROLLER}: its one feed-forward number, to be merged with your parameters.",
             *(f"Not in this file: {one}" for one in lost)]
-    tree.yaml_set_start_comment("\n".join(" ".join(line.split()) for line in head))
-    yaml, text = YAML(), StringIO()
-    yaml.width = 98
-    yaml.dump(tree, text)
-    return Exported(text.getvalue(), lost)
+    return Exported(rendered(
+        "feedforward.yaml.j2", head=head, node=NODE, controller=CONTROLLER, joint=joint,
+        rows=rows, unit=unit[2], law=law), lost)
 
 
 def _lost_of_table(model: Model, law, force: str, covered: bool) -> tuple[str, ...]:
@@ -342,23 +330,3 @@ def covered_seconds(velocity: np.ndarray, seen: Sequence[np.ndarray],
     edges = np.concatenate([[-np.inf], 0.5 * (velocity[1:] + velocity[:-1]), [np.inf]])
     return sum((np.histogram(v[np.isfinite(v)], edges)[0] * dt
                 for v, dt in zip(seen, sample_times, strict=True)), np.zeros(len(velocity)))
-
-
-def _add(table: CommentedMap, key: str, value, comment: str, indent: int = 4) -> None:
-    table[key] = value
-    if comment:
-        table.yaml_set_comment_before_after_key(key, before=comment, indent=indent)
-
-
-def _row(values: np.ndarray) -> CommentedSeq:
-    return _flow([_rounded(one) for one in values])
-
-
-def _flow(values: list) -> CommentedSeq:
-    row = CommentedSeq(values)
-    row.fa.set_flow_style()
-    return row
-
-
-def _rounded(value: float) -> float:
-    return float(f"{value:.7g}") + 0.0  # 0.0, not -0.0

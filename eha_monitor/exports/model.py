@@ -1,6 +1,7 @@
 """The identified model as the exports take it: settings, ports, units, what is lost."""
 
 import re
+import textwrap
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -11,7 +12,8 @@ from markupsafe import Markup
 
 from eha_monitor.errors import InputError
 from eha_monitor.physics.effects import CATALOGUE
-from eha_monitor.physics.excitation import demanded_position
+from eha_monitor.physics.simulator import demanded_position
+from eha_monitor.settings.load import scalar
 from eha_monitor.settings.monitor import Settings
 from eha_monitor.settings.own_terms import is_own
 
@@ -144,7 +146,7 @@ def _templates() -> jinja2.Environment:
         loader=jinja2.PackageLoader("eha_monitor.exports"), undefined=jinja2.StrictUndefined,
         autoescape=lambda name: name.endswith(".xml.j2"), trim_blocks=True, lstrip_blocks=True,
         keep_trailing_newline=True)
-    made.filters |= {"six": "{:.6g}".format,
+    made.filters |= {"six": "{:.6g}".format, "yaml": _yaml,
                      "comment": lambda text: Markup(text.replace("--", "- -"))}
     return made
 
@@ -152,3 +154,11 @@ def _templates() -> jinja2.Environment:
 def rendered(template: str, **facts: Any) -> str:
     """Return a file of ``templates/``; in XML every value is escaped."""
     return _templates().get_template(template).render(facts)
+
+
+def _yaml(value: np.ndarray | float) -> str:
+    """Return a number of seven digits, or a row of numbers or truths in a few lines, as YAML."""
+    if np.ndim(value):
+        return "[" + textwrap.fill(", ".join(map(_yaml, value)), 85,
+                                   subsequent_indent=" " * 8) + "]"
+    return scalar(bool(value) if isinstance(value, np.bool_) else float(f"{value:.7g}") + 0.0)

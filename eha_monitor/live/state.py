@@ -14,27 +14,13 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from eha_monitor.estimation import supervision as watch
 from eha_monitor.estimation.discretisation import BETA_0, C_PLACE
 from eha_monitor.estimation.inputs import StageInputs
 from eha_monitor.estimation.results import NoiseEstimate
 from eha_monitor.estimation.rig_model import RigModel
 from eha_monitor.estimation.stage_one import NEGATIVE, ConstantsOne, StateOne, new_state_one
 from eha_monitor.estimation.stage_two import ConstantsTwo, StateTwo
-from eha_monitor.estimation.supervision import (
-    BLOCK,
-    BLOCKS,
-    CHANGES,
-    FROZEN,
-    HELD,
-    INFORMATION,
-    NET,
-    SAMPLES,
-    SCORE,
-    TRAVEL,
-    gave_up,
-    honest_factor,
-    new_supervision,
-)
 from eha_monitor.live.checks import Handover, LiveModel
 from eha_monitor.settings.monitor import Settings
 
@@ -104,7 +90,7 @@ class LiveStage:
         """
         out, changes = np.empty((self.rows, stop)), []
         while first < stop:  # block by block, as a change may end in another beginning
-            end = min(stop, first + BLOCK - int(self.state.watch[SAMPLES]))
+            end = min(stop, first + watch.BLOCK - int(self.state.watch[watch.SAMPLES]))
             events = np.empty((1, 4))
             found = self.run(self._rows(inputs, end, *damping), self.constants,
                              self.model.effects, self.state, first, out, events)
@@ -137,7 +123,7 @@ class LiveStage:
 
     def forget_scores(self) -> None:
         """Look for changes only in what comes from now on."""
-        self.state.watch[[SCORE, INFORMATION, BLOCKS]] = 0.0
+        self.state.watch[[watch.SCORE, watch.INFORMATION, watch.BLOCKS]] = 0.0
 
     def forget(self, changes: float, memory: float) -> None:
         """Let old changes count less, and what a parameter that is held rests on.
@@ -148,8 +134,8 @@ class LiveStage:
         ----------
         changes, memory : shares that are kept.
         """
-        if self.state.watch[FROZEN] == 0.0:
-            self.state.watch[[CHANGES, NET, TRAVEL]] *= changes
+        if self.state.watch[watch.FROZEN] == 0.0:
+            self.state.watch[[watch.CHANGES, watch.NET, watch.TRAVEL]] *= changes
         elif not self.held:
             self.variance = min(self.variance / memory,
                                 max(self.variance, self.constants.prior_variance))
@@ -157,12 +143,12 @@ class LiveStage:
     @property
     def held(self) -> bool:
         """Whether the parameter stays at its prior, because nothing has excited it yet."""
-        return bool(self.state.watch[FROZEN] == HELD)
+        return bool(self.state.watch[watch.FROZEN] == watch.HELD)
 
     @property
     def factor(self) -> float:
         """Factor on sigma that the scores ask for."""
-        return honest_factor(self.state.watch)
+        return watch.honest_factor(self.state.watch)
 
 
 @dataclass(kw_only=True)
@@ -184,9 +170,9 @@ class LiveStageOne(LiveStage):
         return inputs.rows_one(stop)
 
     def _changed(self) -> None:
-        if gave_up(self.state.watch):  # estimate B anew: its changes were the model's misfit
+        if watch.gave_up(self.state.watch):  # estimate B anew: its changes were the model's misfit
             self._set(self.prior, self.constants.prior_variance)
-            self.state = self.state._replace(watch=new_supervision(frozen=True))
+            self.state = self.state._replace(watch=watch.new_supervision(frozen=True))
 
     def use(self, model: RigModel, mass: float) -> None:
         """Go on with another model of the same effects, by which the force is read otherwise."""
@@ -195,7 +181,7 @@ class LiveStageOne(LiveStage):
     def carry_on(self, value: float, stddev: float) -> None:
         """Go on from a B that the last seconds gave, and look for changes again."""
         self._set(value, stddev**2)
-        self.state = self.state._replace(watch=new_supervision())
+        self.state = self.state._replace(watch=watch.new_supervision())
 
     def _set(self, value: float, variance: float) -> None:
         self.state.x[B_PLACE] = max(value, -NEGATIVE * self.constants.mass / self.constants.dt)

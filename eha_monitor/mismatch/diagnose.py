@@ -33,8 +33,13 @@ from eha_monitor.mismatch.diagnosis import (
     Window,
     health_sentences,
 )
-from eha_monitor.mismatch.learn.tested import Tested, supported, tested
-from eha_monitor.mismatch.learn.validated import ValidatedTerm, validated_term
+from eha_monitor.mismatch.learn.validated import (
+    Tested,
+    ValidatedTerm,
+    supported,
+    tested,
+    validated_term,
+)
 from eha_monitor.mismatch.likelihood.along import filtered_tracks
 from eha_monitor.mismatch.likelihood.fit import Fit
 from eha_monitor.mismatch.locate import location as locate

@@ -30,19 +30,7 @@ from functools import lru_cache
 import numpy as np
 
 from eha_monitor.compiled import njit
-from eha_monitor.physics.signals import (
-    ANGLE,
-    FLOW_1,
-    FLOW_2,
-    FORCE,
-    OMEGA,
-    P1,
-    P2,
-    SPEED,
-    T,
-    V,
-    X,
-)
+from eha_monitor.physics import signals as of
 
 SLOTS, WIDTH = 2, 64
 OWN_NAMES = tuple(f"own_{i + 1}" for i in range(SLOTS))
@@ -59,8 +47,8 @@ CONSTANTS = CODES + MOST_CODES
 PHASE = WIDTH - 1  # of both: the angle at which a recording begins, rad
 
 # To what a term adds -> the contributions that read it, and its unit.
-BALANCES = {"force": (FORCE,), "flow": (FLOW_1, FLOW_2), "flow_1": (FLOW_1,),
-            "flow_2": (FLOW_2,), "speed": (SPEED,)}
+BALANCES = {"force": (of.FORCE,), "flow": (of.FLOW_1, of.FLOW_2), "flow_1": (of.FLOW_1,),
+            "flow_2": (of.FLOW_2,), "speed": (of.SPEED,)}
 ADDED_UNITS = {"force": "N", "flow": "m³/s", "flow_1": "m³/s", "flow_2": "m³/s",
                "speed": "rad/s"}
 ADDED = tuple(BALANCES)
@@ -84,18 +72,18 @@ FIRST_TWO, FIRST_SIGNAL, FIRST_CONSTANT = 100, 200, 300
 def signal_of(s, which):
     """Return a signal by its place in ``OF``, SI."""
     if which == 0:
-        return s[X]
+        return s[of.X]
     if which == 1:
-        return s[V]
+        return s[of.V]
     if which == 2:
-        return s[P1] - s[P2]
+        return s[of.P1] - s[of.P2]
     if which == 3:
-        return 0.5 * (s[P1] + s[P2])
+        return 0.5 * (s[of.P1] + s[of.P2])
     if which == 4:
-        return s[OMEGA]
+        return s[of.OMEGA]
     if which == 5:
-        return s[P1]
-    return s[P2] if which == 6 else s[ANGLE]
+        return s[of.P1]
+    return s[of.P2] if which == 6 else s[of.ANGLE]
 
 
 @njit(forceinline=True)
@@ -204,43 +192,43 @@ def own_term(s, q, m, c):
     s : (N_SIGNALS,) signals, the angle written;  q : (WIDTH,) the slot;  m : its memory.
     c : (N_CONTRIBUTIONS,) added to.
     """
-    s[ANGLE] = q[PHASE] + m[TURNED] + s[OMEGA] * (s[T] - m[SINCE])
+    s[of.ANGLE] = q[PHASE] + m[TURNED] + s[of.OMEGA] * (s[of.T] - m[SINCE])
     if q[KIND] == TABLE:
         which = int(q[SIGNAL])
         value = tabled(q[VALUES:], int(q[COUNT]), q[FIRST], q[LAST], signal_of(s, which),
                        which == BY_ANGLE)
         factor = int(q[FACTOR])
         if factor == BY_DIRECTION:
-            value *= math.tanh(s[V] / q[SCALE])
+            value *= math.tanh(s[of.V] / q[SCALE])
         elif factor == BY_V:
-            value *= s[V] / q[SCALE]
+            value *= s[of.V] / q[SCALE]
         elif factor == BY_DP:
-            value *= (s[P1] - s[P2]) / q[SCALE]
+            value *= (s[of.P1] - s[of.P2]) / q[SCALE]
         elif factor == BY_OMEGA:
-            value *= s[OMEGA] / q[SCALE]
+            value *= s[of.OMEGA] / q[SCALE]
     elif q[KIND] == EXPRESSION:
         value = expressed(q, s)
     else:
         return
     adds = int(q[ADDS])
     if adds == TO_FORCE:
-        c[FORCE] += value
+        c[of.FORCE] += value
     elif adds == TO_FLOW:
-        c[FLOW_1] += value
-        c[FLOW_2] -= value
+        c[of.FLOW_1] += value
+        c[of.FLOW_2] -= value
     elif adds == TO_FLOW_1:
-        c[FLOW_1] += value
+        c[of.FLOW_1] += value
     elif adds == TO_FLOW_2:
-        c[FLOW_2] += value
+        c[of.FLOW_2] += value
     else:
-        c[SPEED] += value
+        c[of.SPEED] += value
 
 
 @njit
 def turn(s, q, h, m):
     """Carry the shaft's angle over a step of ``h`` s that has ended at the signals ``s``."""
-    m[TURNED] += h * s[OMEGA]
-    m[SINCE] = s[T]
+    m[TURNED] += h * s[of.OMEGA]
+    m[SINCE] = s[of.T]
 
 
 @njit

@@ -15,42 +15,9 @@ from typing import NamedTuple
 import numpy as np
 
 from eha_monitor.compiled import njit
+from eha_monitor.physics import contributions as effects
+from eha_monitor.physics import signals as of
 from eha_monitor.physics.balances import acceleration, drive_speed, rates
-from eha_monitor.physics.contributions import (
-    add_contributions,
-    circuit_of,
-    update_memory,
-    with_term,
-    with_update,
-)
-from eha_monitor.physics.signals import (
-    COMMAND_DELAY,
-    DRIVE_LAG,
-    FEEDBACK_DELAY,
-    FORCE,
-    IN_LOOP,
-    N_CONTRIBUTIONS,
-    N_SIGNALS,
-    OMEGA,
-    P1,
-    P2,
-    PLAY,
-    POSITION_DELAY,
-    POSITION_SCALE,
-    PRESSURE_DELAY,
-    PRESSURE_DRIFT_1,
-    PRESSURE_DRIFT_2,
-    PRESSURE_OFFSET_1,
-    PRESSURE_OFFSET_2,
-    PRESSURE_SCALE_1,
-    PRESSURE_SCALE_2,
-    SLEW_LIMIT,
-    SPEED_LIMIT,
-    X_D,
-    T,
-    V,
-    X,
-)
 
 (Y_X, Y_V, Y_P1, Y_P2, Y_OMEGA, Y_FORCE, Y_FLOW, Y_SPEED, Y_PLAYED, Y_ACCELERATION) = range(10)
 N_STATE = 10
@@ -192,17 +159,17 @@ def behind_play(x, played, play):
 @njit(forceinline=True)
 def seen_by_drive(x_late, played, w):
     """Return the position that the drive reads, m, from the late true one."""
-    if w[IN_LOOP] == 0.0:
+    if w[of.IN_LOOP] == 0.0:
         return x_late
-    if w[PLAY] > 0.0:
-        x_late = behind_play(x_late, played, w[PLAY])
-    return (1.0 + w[POSITION_SCALE]) * x_late
+    if w[of.PLAY] > 0.0:
+        x_late = behind_play(x_late, played, w[of.PLAY])
+    return (1.0 + w[of.POSITION_SCALE]) * x_late
 
 
 @njit(forceinline=True)
 def shaft_speed(wanted, w):
     """Return the shaft speed without lag: the wanted one within the limit, rad/s."""
-    return min(max(wanted, -w[SPEED_LIMIT]), w[SPEED_LIMIT])
+    return min(max(wanted, -w[of.SPEED_LIMIT]), w[of.SPEED_LIMIT])
 
 
 @njit(forceinline=True)
@@ -220,10 +187,10 @@ def advance(actuator, t, k, given, step, equations):
     theta, terms, updates, w, c, s = equations
     last, first = newest[0], lead + k
     h = dt / steps
-    slow = closed and (w[DRIVE_LAG] > 0.0 or w[SLEW_LIMIT] < np.inf)
-    lag = max(w[DRIVE_LAG], SHORTEST_LAG * h)
-    slew, command_delay, feedback_delay = w[SLEW_LIMIT], w[COMMAND_DELAY], w[FEEDBACK_DELAY]
-    play = w[PLAY]
+    slow = closed and (w[of.DRIVE_LAG] > 0.0 or w[of.SLEW_LIMIT] < np.inf)
+    lag = max(w[of.DRIVE_LAG], SHORTEST_LAG * h)
+    slew, play = w[of.SLEW_LIMIT], w[of.PLAY]
+    command_delay, feedback_delay = w[of.COMMAND_DELAY], w[of.FEEDBACK_DELAY]
     any_active, any_memory = len(terms) > 0, len(updates) > 0
     unknown_force, unknown_flow, unknown_speed = y[Y_FORCE], y[Y_FLOW], y[Y_SPEED]
     x, v, p1, p2, omega = y[Y_X], y[Y_V], y[Y_P1], y[Y_P2], y[Y_OMEGA]
@@ -263,10 +230,10 @@ def advance(actuator, t, k, given, step, equations):
                     turning = os
             turning += unknown_speed
             if any_active:
-                s[T], s[X], s[V], s[P1], s[P2] = t + (i + offset) * h, xs, vs, p1s, p2s
-                s[OMEGA], s[X_D] = turning, value
-                add_contributions(s, theta, terms, memory, c)
-                c[FORCE] += unknown_force
+                s[of.T], s[of.X], s[of.V] = t + (i + offset) * h, xs, vs
+                s[of.P1], s[of.P2], s[of.OMEGA], s[of.X_D] = p1s, p2s, turning, value
+                effects.add_contributions(s, theta, terms, memory, c)
+                c[of.FORCE] += unknown_force
                 a, d1, d2 = rates(vs, p1s, p2s, turning, unknown_flow, base, c)
             else:
                 a, d1, d2 = rates(vs, p1s, p2s, turning, unknown_flow, base, alone)
@@ -287,8 +254,8 @@ def advance(actuator, t, k, given, step, equations):
         if not slow:
             omega = turning - unknown_speed
         if any_memory:
-            s[T], s[X], s[V], s[P1], s[P2] = t + (i + 1) * h, x, v, p1, p2
-            update_memory(s, theta, updates, h, memory)
+            s[of.T], s[of.X], s[of.V], s[of.P1], s[of.P2] = t + (i + 1) * h, x, v, p1, p2
+            effects.update_memory(s, theta, updates, h, memory)
         last = (last + 1) % RING
         past[last, 0], past[last, 1], past[last, 2], past[last, 3] = x, v, p1, p2
     y[Y_X], y[Y_V], y[Y_P1], y[Y_P2], y[Y_OMEGA] = x, v, p1, p2, omega
@@ -304,15 +271,15 @@ def speed_now(actuator, k, given, step, equations):
     dt, steps = step
     theta, _, _, w, _, _ = equations
     first = lead + k
-    if w[COMMAND_DELAY] == 0.0:
+    if w[of.COMMAND_DELAY] == 0.0:
         value = piece_at(u, first * pieces, 0.0)
     else:
-        value = input_at(u, pieces, first - w[COMMAND_DELAY] / dt)
+        value = input_at(u, pieces, first - w[of.COMMAND_DELAY] / dt)
     if not closed:
         return value, value + y[Y_SPEED]
-    if w[DRIVE_LAG] > 0.0 or w[SLEW_LIMIT] < np.inf:
+    if w[of.DRIVE_LAG] > 0.0 or w[of.SLEW_LIMIT] < np.inf:
         return value, y[Y_OMEGA] + y[Y_SPEED]
-    late = delayed_position(past, newest[0], dt / steps, w[FEEDBACK_DELAY], 0.0, y[Y_X], y[Y_V],
+    late = delayed_position(past, newest[0], dt / steps, w[of.FEEDBACK_DELAY], 0.0, y[Y_X], y[Y_V],
                             y[Y_ACCELERATION])
     wanted = drive_speed(value, seen_by_drive(late, y[Y_PLAYED], w), theta, w)
     return value, shaft_speed(wanted, w) + y[Y_SPEED]
@@ -326,17 +293,17 @@ def sense(actuator, t, step, w, out):
     """
     y, _, past, newest = actuator
     last, h = newest[0], step.dt / step.steps
-    late = delayed_position(past, last, h, w[POSITION_DELAY], 0.0, y[Y_X], y[Y_V],
+    late = delayed_position(past, last, h, w[of.POSITION_DELAY], 0.0, y[Y_X], y[Y_V],
                             y[Y_ACCELERATION])
-    if w[PLAY] > 0.0:
-        late = behind_play(late, y[Y_PLAYED], w[PLAY])
-    out[0] = (1.0 + w[POSITION_SCALE]) * late
+    if w[of.PLAY] > 0.0:
+        late = behind_play(late, y[Y_PLAYED], w[of.PLAY])
+    out[0] = (1.0 + w[of.POSITION_SCALE]) * late
     out[1] = y[Y_V]
-    delay = w[PRESSURE_DELAY]
-    out[2] = ((1.0 + w[PRESSURE_SCALE_1]) * delayed_pressure(past, last, h, delay, 2, y)
-              + w[PRESSURE_OFFSET_1] + w[PRESSURE_DRIFT_1] * t)
-    out[3] = ((1.0 + w[PRESSURE_SCALE_2]) * delayed_pressure(past, last, h, delay, 3, y)
-              + w[PRESSURE_OFFSET_2] + w[PRESSURE_DRIFT_2] * t)
+    delay = w[of.PRESSURE_DELAY]
+    out[2] = ((1.0 + w[of.PRESSURE_SCALE_1]) * delayed_pressure(past, last, h, delay, 2, y)
+              + w[of.PRESSURE_OFFSET_1] + w[of.PRESSURE_DRIFT_1] * t)
+    out[3] = ((1.0 + w[of.PRESSURE_SCALE_2]) * delayed_pressure(past, last, h, delay, 3, y)
+              + w[of.PRESSURE_OFFSET_2] + w[of.PRESSURE_DRIFT_2] * t)
 
 
 @njit
@@ -351,19 +318,20 @@ def run(actuator, t0, given, step, theta, active, out, shown):
     out : (n, N_SIGNALS) written: the true signals, but for the shaft's angle.
     shown : (n, N_OUTPUTS) written: x, v, p1, p2, omega as the sensors show them, without noise.
     """
-    c, s = np.zeros(N_CONTRIBUTIONS), np.zeros(N_SIGNALS)
-    terms, updates = with_term(active), with_update(active, theta[0])
-    equations = Equations(theta[0], terms, updates, circuit_of(theta[0], active), c, s)
+    c, s = np.zeros(of.N_CONTRIBUTIONS), np.zeros(of.N_SIGNALS)
+    terms, updates = effects.with_term(active), effects.with_update(active, theta[0])
+    equations = Equations(theta[0], terms, updates, effects.circuit_of(theta[0], active), c, s)
     y = actuator.y
     for k in range(out.shape[0]):
         if theta.shape[0] > 1:
-            equations = Equations(theta[k], terms, updates, circuit_of(theta[k], active), c, s)
+            w = effects.circuit_of(theta[k], active)
+            equations = Equations(theta[k], terms, updates, w, c, s)
         t = t0 + k * step.dt
         _, omega = speed_now(actuator, k, given, step, equations)
-        out[k, T] = t
-        out[k, X], out[k, V], out[k, P1], out[k, P2] = y[Y_X], y[Y_V], y[Y_P1], y[Y_P2]
-        out[k, OMEGA] = omega
-        out[k, X_D] = piece_at(given.u, (given.lead + k) * given.pieces, 0.0)
+        out[k, of.T] = t
+        out[k, of.X], out[k, of.V], out[k, of.P1], out[k, of.P2] = y[Y_X], y[Y_V], y[Y_P1], y[Y_P2]
+        out[k, of.OMEGA] = omega
+        out[k, of.X_D] = piece_at(given.u, (given.lead + k) * given.pieces, 0.0)
         sense(actuator, t, step, equations.w, shown[k])
         shown[k, 4] = omega
         advance(actuator, t, k, given, step, equations)
@@ -396,19 +364,19 @@ def advance_forced(actuator, t, k, u, pressures, step, equations):
                 xs, vs = x + g * vs, v + g * a
             f = (i + offset) / steps
             if any_active:
-                s[T], s[X], s[V] = t + f * dt, xs, vs
-                s[P1] = (1.0 - f) * p1[k] + f * p1[after]
-                s[P2] = (1.0 - f) * p2[k] + f * p2[after]
-                add_contributions(s, theta, terms, memory, c)
-            c[FORCE] += y[Y_FORCE]
+                s[of.T], s[of.X], s[of.V] = t + f * dt, xs, vs
+                s[of.P1] = (1.0 - f) * p1[k] + f * p1[after]
+                s[of.P2] = (1.0 - f) * p2[k] + f * p2[after]
+                effects.add_contributions(s, theta, terms, memory, c)
+            c[of.FORCE] += y[Y_FORCE]
             a = acceleration(piece_at(u, k, f), vs, theta, c)
-            c[FORCE] -= y[Y_FORCE]
+            c[of.FORCE] -= y[Y_FORCE]
             weight = 1.0 if stage == 0 or stage == 3 else 2.0
             sum_v += weight * vs
             sum_a += weight * a
         x += h / 6.0 * sum_v
         v += h / 6.0 * sum_a
         if any_memory:
-            s[T], s[X], s[V] = t + (i + 1) * h, x, v
-            update_memory(s, theta, updates, h, memory)
+            s[of.T], s[of.X], s[of.V] = t + (i + 1) * h, x, v
+            effects.update_memory(s, theta, updates, h, memory)
     y[Y_X], y[Y_V], y[Y_PLAYED] = x, v, x

@@ -8,7 +8,7 @@ import numpy as np
 
 from eha_monitor.estimation.results import Estimate
 from eha_monitor.mismatch.diagnosis import Diagnosis
-from eha_monitor.physics.excitation import demanded_position, total_duration
+from eha_monitor.physics.simulator import demanded_position, total_duration
 from eha_monitor.quantity import Scale
 from eha_monitor.recordings.columns import sampled
 from eha_monitor.recordings.recording import Recording

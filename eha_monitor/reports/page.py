@@ -9,7 +9,6 @@ from typing import Any
 
 import jinja2
 from markupsafe import Markup, escape
-from pydantic import BaseModel
 
 from eha_monitor import __version__
 from eha_monitor.indicators import indicator
@@ -21,6 +20,7 @@ from eha_monitor.reports.figure import Figure
 from eha_monitor.reports.plotly_chart import chart_json, packed_library
 from eha_monitor.reports.still_image import image_uri
 from eha_monitor.settings.monitor import Settings
+from eha_monitor.units import keys_of
 from eha_monitor.words import effect_words
 
 _HEADING = re.compile(r"<h2(?: id=\"([^\"]*)\")?>(.*?)</h2>", re.DOTALL)
@@ -194,7 +194,6 @@ def for_script(text: str) -> Markup:
 
 _SECTIONS = ("rig", "noise", "stage_one", "stage_two", "thresholds", "viscosity", "health")
 _GENERAL = ("discretisation", "command_hold")
-_THRESHOLD_UNITS = {"viscous_damping": "N·s/m", "bulk_modulus": "Pa"}
 
 
 def indicator_table(indicators: Sequence[Indicator], settings: Settings) -> Table | None:
@@ -236,7 +235,9 @@ def config_tables(settings: Settings) -> list[tuple[str, Table]]:
         return title, table("key | value | what it is", list(rows), " | number | note")
 
     found = [titled(f"{_plain(key).capitalize()}: {Settings.model_fields[key].description or ''}",
-                    _config_rows(getattr(settings, key))) for key in _SECTIONS]
+                    [(_plain(name), _config_value(value, unit), about or "")
+                     for name, value, unit, about in keys_of(getattr(settings, key))])
+             for key in _SECTIONS]
     found.append(titled("Equations", [
         (_plain(key), str(getattr(settings, key)), Settings.model_fields[key].description or "")
         for key in _GENERAL]))
@@ -266,20 +267,6 @@ def _own_row(name: str, values: dict) -> tuple[str, str, str]:
 
 def _plain(key: str) -> str:
     return key.replace("_", " ").replace(".", ", ")
-
-
-def _config_rows(section: BaseModel, prefix: str = "", unit: str = ""
-                 ) -> Iterator[tuple[str, str, str]]:
-    for key, declared in type(section).model_fields.items():
-        value = getattr(section, key)
-        own = (declared.json_schema_extra or {}).get("unit", "") \
-            if isinstance(declared.json_schema_extra, dict) else ""
-        if isinstance(value, BaseModel):
-            yield from _config_rows(value, f"{prefix}{key}.", _THRESHOLD_UNITS.get(key, ""))
-            continue
-        if unit and own == "1" and key.endswith(("warn", "error")):
-            own = unit
-        yield _plain(prefix + key), _config_value(value, own), declared.description or ""
 
 
 def _config_value(value: Any, unit: str) -> str:

@@ -6,9 +6,8 @@ import numpy as np
 
 from eha_monitor.mismatch.diagnosis import Curve as MissingTerm
 from eha_monitor.mismatch.diagnosis import Diagnosis, Location, NamedEffect
-from eha_monitor.prove.children import read_json
 from eha_monitor.prove.score import MARKS, UNEXPLAINED, number_of, wilson
-from eha_monitor.prove.trial import misses
+from eha_monitor.prove.trial import misses, read_json
 from eha_monitor.quantity import number
 from eha_monitor.reports import figure as fig
 from eha_monitor.reports.diagnosis_figures import curve_figure, informative

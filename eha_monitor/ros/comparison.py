@@ -40,7 +40,7 @@ class Comparison:
 
     def __init__(self, settings: Settings, keeper: Keeper, tell: Callable[[str, str], None],
                  log_ns: Callable[[float], int]):
-        from eha_monitor.balances.machine_file import load
+        from eha_monitor.balances.machine import load
 
         self._file, self._settings = Path(settings.diagnosis.machine), settings
         self._keeper, self._tell, self._log_ns = keeper, tell, log_ns

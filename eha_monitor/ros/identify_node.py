@@ -13,7 +13,7 @@ from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
 from eha_monitor.errors import InputError
-from eha_monitor.identify.rig import CHANNELS, HELD, Ran, Rig, Watch, held
+from eha_monitor.identify.experiment import CHANNELS, HELD, Ran, Rig, Watch, held
 from eha_monitor.recordings.read import read_recording
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.recordings.write import BagWriter

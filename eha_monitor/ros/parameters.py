@@ -311,7 +311,7 @@ def for_rcl(arguments: list[str]) -> Iterator[list[str]]:
         found = list(arguments)
         for place, path in _files(arguments):
             tree = _tree(path)
-            if tree is None or (_sections_only(tree) and _fits(tree)):
+            if tree is None:
                 continue
             copy = Path(folder, str(place), path.name)
             copy.parent.mkdir()
@@ -374,21 +374,6 @@ def _tree(path: Path) -> dict | None:
     if tree is not None and not isinstance(tree, dict):
         raise InputError(f"{path}: expected a mapping of sections, got {type(tree).__name__}")
     return tree or {}
-
-
-def _sections_only(tree: dict) -> bool:
-    """Tell whether everything stands below a node's name."""
-    return bool(tree) and all(ros_sections({key: content}) for key, content in tree.items())
-
-
-def _fits(value: Any) -> bool:
-    """Tell whether rcl reads a value as it is."""
-    if isinstance(value, dict):
-        return bool(value) and all(_fits(each) for each in value.values())
-    if isinstance(value, list):
-        return bool(value) and len({type(each) for each in value}) == 1 and all(
-            isinstance(each, str | int | float) for each in value)
-    return isinstance(value, str | int | float)
 
 
 def _plain(value: Any, source: str, key: str) -> Any:

@@ -13,8 +13,7 @@ from rclpy.publisher import Publisher
 from std_srvs.srv import Trigger
 
 from eha_monitor.errors import InputError
-from eha_monitor.physics.excitation import demanded_position
-from eha_monitor.physics.simulator import Simulator
+from eha_monitor.physics.simulator import Simulator, demanded_position
 from eha_monitor.ros import running
 from eha_monitor.ros.parameters import SIMULATOR_KEYS, declare, settings_of_node
 from eha_monitor.ros.subscriptions import TopicInput

@@ -15,8 +15,8 @@ from pydantic.fields import FieldInfo
 from eha_monitor.errors import InputError
 from eha_monitor.output import check_regular
 from eha_monitor.physics.effects import CATALOGUE
-from eha_monitor.settings.lost_units import beyond, lost_units, no_such_column, plain
 from eha_monitor.settings.monitor import Settings
+from eha_monitor.units import beyond, lost_units, no_such_column, plain
 
 LARGEST = 1024 * 1024  # bytes of a config
 Model = TypeVar("Model", bound=BaseModel)
@@ -293,7 +293,7 @@ def _inside(value: BaseModel | dict, indent: int, explain: bool, entries: Mappin
             # Entries of a mapping have the same keys: the first one explains them for all.
             yield from _inside(item, indent + 2, explain and place == 0, {})
         else:
-            yield f"{margin}{name}: {_scalar(item)}"
+            yield f"{margin}{name}: {scalar(item)}"
 
 
 def _pattern(annotation: Any, margin: str) -> Iterator[str]:
@@ -303,7 +303,7 @@ def _pattern(annotation: Any, margin: str) -> Iterator[str]:
         return
     yield f"{margin}#   <name>:"
     for key, field in kind.model_fields.items():
-        value = "..." if field.is_required() else _scalar(field.default)
+        value = "..." if field.is_required() else scalar(field.default)
         yield from _comment(f"    {key}: {value}  # {_about(field)}", margin)
 
 
@@ -369,10 +369,10 @@ def _in_unit(value: Any, field: FieldInfo) -> str:
     possible = extra.get("possible") if isinstance(extra, dict) else None
     if possible and isinstance(value, float) and beyond(value, possible):
         return f'"{value!r} {plain(extra["unit"])}"'
-    return _scalar(value)
+    return scalar(value)
 
 
-def _scalar(value: Any) -> str:
+def scalar(value: Any) -> str:
     """Return a scalar that YAML 1.1 (ROS) and YAML 1.2 read alike."""
     if value is None:
         return "null"
@@ -381,7 +381,7 @@ def _scalar(value: Any) -> str:
     if isinstance(value, float):
         return _number(value)
     if isinstance(value, (tuple, list)):
-        return f"[{', '.join(_scalar(item) for item in value)}]"
+        return f"[{', '.join(scalar(item) for item in value)}]"
     if isinstance(value, str):
         plain = value.replace("_", "a").replace("/", "a").isalnum()
         plain = plain and not value.startswith("/") and value.lower() not in _YAML11_BOOLEANS

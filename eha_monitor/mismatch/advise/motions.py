@@ -12,8 +12,8 @@ from eha_monitor.mismatch.data.inputs import CLOSED, FORCED, cubics
 from eha_monitor.mismatch.likelihood.fit import Fit, free_run
 from eha_monitor.physics import signals as s
 from eha_monitor.physics.contributions import new_memory
-from eha_monitor.physics.excitation import demanded_position, total_duration
 from eha_monitor.physics.plant import N_OUTPUTS
+from eha_monitor.physics.simulator import demanded_position, total_duration
 from eha_monitor.settings.rig import Segment
 
 USED = 0.9  # of the recording's pump speed

@@ -24,8 +24,7 @@ from eha_monitor.physics.parameters import theta_of
 from eha_monitor.physics.plant import N_OUTPUTS
 from eha_monitor.physics.signals import K_POS
 from eha_monitor.recordings.grid import filled
-from eha_monitor.recordings.recording import Recording, rows_of, sample_of
-from eha_monitor.recordings.stops import between_stops
+from eha_monitor.recordings.recording import Recording, between_stops, rows_of, sample_of
 from eha_monitor.settings.monitor import Settings
 from eha_monitor.settings.rig import Rig
 

@@ -15,20 +15,9 @@ from eha_monitor.mismatch.data.inputs import CLOSED, FORCED
 from eha_monitor.mismatch.likelihood.fit import Fit, filtered, spread
 from eha_monitor.mismatch.likelihood.gains import linear_of
 from eha_monitor.mismatch.likelihood.innovations import N_FILTERED
+from eha_monitor.physics import plant
 from eha_monitor.physics import signals as s
 from eha_monitor.physics.contributions import ALL_NAMES, turned_memory
-from eha_monitor.physics.plant import (
-    Y_OMEGA,
-    Y_P1,
-    Y_P2,
-    Y_SPEED,
-    Y_V,
-    Y_X,
-    drive_rate,
-    drive_speed,
-    input_at,
-    shaft_speed,
-)
 
 DOUBLINGS, SETTLED = 16, 1e-12  # 65 536 samples; relative change at which it stands
 UNKNOWN = 1e15  # variances of a state's size or of a reading: beyond it, rounding takes the other
@@ -156,17 +145,17 @@ def signals_along(experiment: Experiment, stretch: Stretch, states: np.ndarray) 
     n = len(states)
     found = np.zeros((n, s.N_SIGNALS))
     found[:, s.T] = np.arange(n) * experiment.dt
-    found[:, s.X], found[:, s.V] = states[:, Y_X], states[:, Y_V]
+    found[:, s.X], found[:, s.V] = states[:, plant.Y_X], states[:, plant.Y_V]
     if experiment.mode == FORCED:
         found[:, s.P1], found[:, s.P2] = stretch.p1, stretch.p2
         return found
-    found[:, s.P1], found[:, s.P2] = states[:, Y_P1], states[:, Y_P2]
+    found[:, s.P1], found[:, s.P2] = states[:, plant.Y_P1], states[:, plant.Y_P2]
     if experiment.used[4]:  # nearer to the truth than any model of the drive
         speed = stretch.z[:, 4]
-        bridged = states[:, Y_OMEGA] + states[:, Y_SPEED]
+        bridged = states[:, plant.Y_OMEGA] + states[:, plant.Y_SPEED]
         found[:, s.OMEGA] = np.where(np.isfinite(speed), speed, bridged)
     elif experiment.mode == CLOSED:
-        found[:, s.OMEGA] = states[:, Y_OMEGA] + states[:, Y_SPEED]
+        found[:, s.OMEGA] = states[:, plant.Y_OMEGA] + states[:, plant.Y_SPEED]
     else:
         found[:, s.OMEGA] = stretch.u[:, 0]
     if experiment.mode == CLOSED:
@@ -197,14 +186,14 @@ def drive_along(x, u, dt, steps, theta, w, out):
             late = min(max(place - w[s.FEEDBACK_DELAY] / dt, 0.0), n - 1.0)
             j = min(int(late), n - 2)
             where = x[j] + (late - j) * (x[j + 1] - x[j])
-            demand = input_at(u, 1, place - w[s.COMMAND_DELAY] / dt)
-            wanted = shaft_speed(drive_speed(demand, where, theta, w), w)
+            demand = plant.input_at(u, 1, place - w[s.COMMAND_DELAY] / dt)
+            wanted = plant.shaft_speed(plant.drive_speed(demand, where, theta, w), w)
             if k == 0 and i == 0:
                 omega = wanted
             if i == 0:
                 out[k] = omega if slow else wanted
             if slow:
-                rate = drive_rate(wanted, omega, lag, slew)
+                rate = plant.drive_rate(wanted, omega, lag, slew)
                 omega += rate * lag * (1.0 - np.exp(-h / lag))
 
 

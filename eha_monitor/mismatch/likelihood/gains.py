@@ -7,21 +7,9 @@ import numpy as np
 from eha_monitor.mismatch.data.experiment import Experiment
 from eha_monitor.mismatch.data.inputs import CLOSED, FORCED, OPEN
 from eha_monitor.mismatch.likelihood.innovations import N_FILTERED, riccati, transition
+from eha_monitor.physics import plant
 from eha_monitor.physics import signals as s
 from eha_monitor.physics.contributions import circuit_of
-from eha_monitor.physics.plant import (
-    N_STATE,
-    Y_FLOW,
-    Y_FORCE,
-    Y_OMEGA,
-    Y_P1,
-    Y_P2,
-    Y_PLAYED,
-    Y_SPEED,
-    Y_V,
-    Y_X,
-    Step,
-)
 
 CORRELATION = 0.02  # s, for which an unknown force, flow or speed lasts
 SHORT = 5.0  # samples: the shortest
@@ -64,14 +52,14 @@ def operating_point(experiment: Experiment) -> np.ndarray:
     """Return a state in typical motion, (N_STATE,)."""
     middle = experiment.stretches[0].middle
     rig = experiment.settings.rig
-    y = np.zeros(N_STATE)
-    y[Y_X] = y[Y_PLAYED] = middle[0]
-    y[Y_V] = 0.5 * experiment.ranges.speed
-    for place, column in ((Y_P1, 2), (Y_P2, 3)):
+    y = np.zeros(plant.N_STATE)
+    y[plant.Y_X] = y[plant.Y_PLAYED] = middle[0]
+    y[plant.Y_V] = 0.5 * experiment.ranges.speed
+    for place, column in ((plant.Y_P1, 2), (plant.Y_P2, 3)):
         known = np.isfinite(middle[column])
         y[place] = middle[column] if known else rig.charge_pressure
     if rig.area_1 and rig.pump_displacement:
-        y[Y_OMEGA] = rig.area_1 * y[Y_V] / rig.pump_displacement
+        y[plant.Y_OMEGA] = rig.area_1 * y[plant.Y_V] / rig.pump_displacement
     return y
 
 
@@ -101,27 +89,27 @@ def linear_of(experiment: Experiment, theta: np.ndarray, active: np.ndarray,
     y = operating_point(experiment)
     u = np.zeros((1, 4))
     if experiment.mode == CLOSED:
-        u[0, 0] = y[Y_X] + y[Y_OMEGA] / theta[s.K_POS]
+        u[0, 0] = y[plant.Y_X] + y[plant.Y_OMEGA] / theta[s.K_POS]
     elif experiment.mode == OPEN:
-        u[0, 0] = y[Y_OMEGA]
+        u[0, 0] = y[plant.Y_OMEGA]
     else:
-        u[0, 0] = theta[s.B] * y[Y_V]
+        u[0, 0] = theta[s.B] * y[plant.Y_V]
     noise = np.where(experiment.used, np.nan_to_num(experiment.noise, nan=1.0), 1.0)
     pump = r.pump_speed[2]
     size = np.array([r.position, r.speed, r.pressure_difference[2], r.pressure_difference[2],
                      pump, r.force, max(r.flow, 1e-12), pump])
-    a, h = transition(experiment.mode, Step(dt, experiment.steps), theta, active, decay, y, u,
-                      1e-3 * size)
+    a, h = transition(experiment.mode, plant.Step(dt, experiment.steps), theta, active, decay, y,
+                      u, 1e-3 * size)
     away = np.zeros(N_FILTERED, dtype=bool)
     if experiment.mode == FORCED:
-        away[[Y_P1, Y_P2, Y_OMEGA, Y_FLOW, Y_SPEED]] = True
+        away[[plant.Y_P1, plant.Y_P2, plant.Y_OMEGA, plant.Y_FLOW, plant.Y_SPEED]] = True
     elif experiment.mode == OPEN:
-        away[Y_OMEGA] = True
+        away[plant.Y_OMEGA] = True
     a[away], a[:, away], h[:, away] = 0.0, 0.0, 0.0
     intensity = unknowns.as_array()
     q = np.zeros(N_FILTERED)
     q[:5] = (1e-7 * size[:5]) ** 2  # rounding and integration: keeps P positive
-    q[[Y_P1, Y_P2]] += experiment.drift**2
+    q[[plant.Y_P1, plant.Y_P2]] += experiment.drift**2
     q[5:] = intensity**2 * (1.0 - decay**2)
     q[away] = 0.0
     variance = noise**2
@@ -133,13 +121,13 @@ def linear_of(experiment: Experiment, theta: np.ndarray, active: np.ndarray,
         h[np.ix_([2, 3], kept)] = rows
         variance[[2, 3]] += more
     start = np.zeros(N_FILTERED)
-    start[Y_X] = (2.0 * noise[0]) ** 2
-    start[Y_V] = r.speed**2
-    for place, column in ((Y_P1, 2), (Y_P2, 3)):
+    start[plant.Y_X] = (2.0 * noise[0]) ** 2
+    start[plant.Y_V] = r.speed**2
+    for place, column in ((plant.Y_P1, 2), (plant.Y_P2, 3)):
         start[place] = ((2.0 * noise[column]) ** 2 if experiment.used[column]
                         else (r.pressure_difference[3] + 0.1 * r.mean_pressure) ** 2)
-    start[Y_OMEGA] = pump**2
-    start[Y_FORCE:] = intensity**2
+    start[plant.Y_OMEGA] = pump**2
+    start[plant.Y_FORCE:] = intensity**2
     start[away] = 0.0
     return Linear(a, h, q, variance, start)
 

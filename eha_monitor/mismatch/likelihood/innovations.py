@@ -22,6 +22,7 @@ from eha_monitor.estimation.small_matrices import (
     transposed,
 )
 from eha_monitor.mismatch.data.inputs import CLOSED, FORCED
+from eha_monitor.physics import plant
 from eha_monitor.physics.contributions import (
     N_EFFECTS,
     circuit_of,
@@ -29,24 +30,6 @@ from eha_monitor.physics.contributions import (
     with_place,
     with_term,
     with_update,
-)
-from eha_monitor.physics.plant import (
-    N_OUTPUTS,
-    RING,
-    Y_FLOW,
-    Y_FORCE,
-    Y_P1,
-    Y_P2,
-    Y_SPEED,
-    Y_V,
-    Y_X,
-    Actuator,
-    Equations,
-    Given,
-    advance,
-    advance_forced,
-    sense,
-    speed_now,
 )
 from eha_monitor.physics.signals import AREA_1, AREA_2, MAX_MEMORY, N_CONTRIBUTIONS, N_SIGNALS, M
 
@@ -100,29 +83,29 @@ def innovate(record, step, theta, active, correction, actuator, e, states):
     mode, z, u, pressures, role = record
     gains, decay = correction
     y, memory, past, newest = actuator
-    dt, given = step.dt, Given(u, 1, 0, mode == CLOSED)
+    dt, given = step.dt, plant.Given(u, 1, 0, mode == CLOSED)
     n = z.shape[0]
     w = circuit_of(theta, active)
     terms, updates, places = with_term(active), with_update(active, theta), with_place(active)
-    equations = Equations(theta, terms, updates, w, np.zeros(N_CONTRIBUTIONS),
+    equations = plant.Equations(theta, terms, updates, w, np.zeros(N_CONTRIBUTIONS),
                           np.zeros(N_SIGNALS))
-    shown = np.zeros(N_OUTPUTS)
-    by_output = np.empty((gains.shape[0], N_OUTPUTS, gains.shape[1]))
+    shown = np.zeros(plant.N_OUTPUTS)
+    by_output = np.empty((gains.shape[0], plant.N_OUTPUTS, gains.shape[1]))
     for at in range(gains.shape[0]):  # a sensor's gains side by side
-        for j in range(N_OUTPUTS):
+        for j in range(plant.N_OUTPUTS):
             for i in range(gains.shape[1]):
                 by_output[at, j, i] = gains[at, i, j]
     for k in range(n):
         t = k * dt
         if mode == FORCED:
-            shown[0], shown[1] = y[Y_X], y[Y_V]
+            shown[0], shown[1] = y[plant.Y_X], y[plant.Y_V]
             shown[2] = shown[3] = shown[4] = math.nan
         else:
-            sense(actuator, t, step, w, shown)
-            shown[4] = speed_now(actuator, k, given, step, equations)[1]
+            plant.sense(actuator, t, step, w, shown)
+            shown[4] = plant.speed_now(actuator, k, given, step, equations)[1]
         at = min(k, gains.shape[0] - 1)
-        predicted, before_1, before_2 = y[Y_X], y[Y_P1], y[Y_P2]
-        for j in range(N_OUTPUTS):
+        predicted, before_1, before_2 = y[plant.Y_X], y[plant.Y_P1], y[plant.Y_P2]
+        for j in range(plant.N_OUTPUTS):
             difference = z[k, j] - shown[j]
             e[k, j] = difference
             if math.isfinite(difference) and role[k] != FREE:
@@ -130,27 +113,28 @@ def innovate(record, step, theta, active, correction, actuator, e, states):
                     y[i] += by_output[at, j, i] * difference
         if role[k] > 0.0 and math.isfinite(z[k, 2]) and math.isfinite(z[k, 3]):
             # Less what the gains have corrected; the innovations know the sensors' own errors.
-            half = 0.5 * role[k] * (e[k, 2] - y[Y_P1] + before_1 - e[k, 3] + y[Y_P2] - before_2)
-            y[Y_P1] += half
-            y[Y_P2] -= half
+            half = 0.5 * role[k] * (e[k, 2] - y[plant.Y_P1] + before_1
+                                    - e[k, 3] + y[plant.Y_P2] - before_2)
+            y[plant.Y_P1] += half
+            y[plant.Y_P2] -= half
             # On the mean it entered in the middle of the sample, and has pushed since.
-            y[Y_V] += 0.5 * dt * half * (theta[AREA_1] + theta[AREA_2]) / theta[M]
+            y[plant.Y_V] += 0.5 * dt * half * (theta[AREA_1] + theta[AREA_2]) / theta[M]
         if not math.isfinite(y[0]):
             e[k:] = 1e30
             return
-        shift_memory(places, y[Y_X] - predicted, memory)
+        shift_memory(places, y[plant.Y_X] - predicted, memory)
         for j in range(4):
             past[newest[0], j] = y[j]
         if states.shape[0]:
             for i in range(N_FILTERED):
                 states[k, i] = y[i]
         if mode == FORCED:
-            advance_forced(actuator, t, k, u, pressures, step, equations)
+            plant.advance_forced(actuator, t, k, u, pressures, step, equations)
         else:
-            advance(actuator, t, k, given, step, equations)
-        y[Y_FORCE] *= decay
-        y[Y_FLOW] *= decay
-        y[Y_SPEED] *= decay
+            plant.advance(actuator, t, k, given, step, equations)
+        y[plant.Y_FORCE] *= decay
+        y[plant.Y_FLOW] *= decay
+        y[plant.Y_SPEED] *= decay
 
 
 @njit(nogil=True)
@@ -166,15 +150,15 @@ def transition(mode, step, theta, active, decay, y, u, shifts):
     -------
     a, h : (N_FILTERED, N_FILTERED) and (N_OUTPUTS, N_FILTERED).
     """
-    a, h = np.zeros((N_FILTERED, N_FILTERED)), np.zeros((N_OUTPUTS, N_FILTERED))
+    a, h = np.zeros((N_FILTERED, N_FILTERED)), np.zeros((plant.N_OUTPUTS, N_FILTERED))
     w = circuit_of(theta, active)
-    equations = Equations(theta, with_term(active), with_update(active, theta), w,
+    equations = plant.Equations(theta, with_term(active), with_update(active, theta), w,
                           np.zeros(N_CONTRIBUTIONS), np.zeros(N_SIGNALS))
-    given, pressures = Given(u, 1, 0, mode == CLOSED), (y[2:3], y[3:4])
-    shown = np.zeros((2, N_OUTPUTS))
+    given, pressures = plant.Given(u, 1, 0, mode == CLOSED), (y[2:3], y[3:4])
+    shown = np.zeros((2, plant.N_OUTPUTS))
     ends = np.zeros((2, y.shape[0]))
-    actuator = Actuator(y.copy(), np.zeros((N_EFFECTS, MAX_MEMORY)), np.zeros((RING, 4)),
-                        np.zeros(1, dtype=np.int64))
+    actuator = plant.Actuator(y.copy(), np.zeros((N_EFFECTS, MAX_MEMORY)),
+                              np.zeros((plant.RING, 4)), np.zeros(1, dtype=np.int64))
     moved, memory, past, newest = actuator
     for i in range(N_FILTERED):
         for side in range(2):
@@ -183,23 +167,24 @@ def transition(mode, step, theta, active, decay, y, u, shifts):
             moved[8] = moved[0]
             memory[:] = 0.0
             newest[0] = 0
-            for r in range(RING):  # the past of a steady motion to this point
-                past[r, 0] = moved[0] - ((RING - r) % RING) * step.dt / step.steps * moved[1]
+            for r in range(plant.RING):  # the past of a steady motion to this point
+                steps_ago = (plant.RING - r) % plant.RING
+                past[r, 0] = moved[0] - steps_ago * step.dt / step.steps * moved[1]
                 past[r, 1], past[r, 2], past[r, 3] = moved[1], moved[2], moved[3]
             if mode == FORCED:
                 shown[side, 0], shown[side, 1] = moved[0], moved[1]
-                advance_forced(actuator, 0.0, 0, u, pressures, step, equations)
+                plant.advance_forced(actuator, 0.0, 0, u, pressures, step, equations)
             else:
-                sense(actuator, 0.0, step, w, shown[side])
-                shown[side, 4] = speed_now(actuator, 0, given, step, equations)[1]
-                advance(actuator, 0.0, 0, given, step, equations)
-            moved[Y_FORCE] *= decay
-            moved[Y_FLOW] *= decay
-            moved[Y_SPEED] *= decay
+                plant.sense(actuator, 0.0, step, w, shown[side])
+                shown[side, 4] = plant.speed_now(actuator, 0, given, step, equations)[1]
+                plant.advance(actuator, 0.0, 0, given, step, equations)
+            moved[plant.Y_FORCE] *= decay
+            moved[plant.Y_FLOW] *= decay
+            moved[plant.Y_SPEED] *= decay
             copied(ends[side], moved)
         for j in range(N_FILTERED):
             a[j, i] = (ends[0, j] - ends[1, j]) / (2.0 * shifts[i])
-        for j in range(N_OUTPUTS):
+        for j in range(plant.N_OUTPUTS):
             h[j, i] = (shown[0, j] - shown[1, j]) / (2.0 * shifts[i])
     return a, h
 

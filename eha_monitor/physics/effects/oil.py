@@ -1,18 +1,8 @@
 """The oil: free air in it, its volumes, and the line between pump and cylinder."""
 
 from eha_monitor.compiled import njit
+from eha_monitor.physics import signals as of
 from eha_monitor.physics.effect import Effect, Parameter
-from eha_monitor.physics.signals import (
-    COMPLIANCE_1,
-    COMPLIANCE_2,
-    OMEGA,
-    P1,
-    P2,
-    SPEED,
-    VOLUME_1,
-    VOLUME_2,
-    X,
-)
 
 # Free air in the oil: the fluid is soft at low pressure.
 P_ATM = 101325.0  # Pa
@@ -32,8 +22,8 @@ def compliance(p, alpha, n):
 @njit
 def entrained_air_term(s, p, m, c):
     """Add the compliance of the air to both chambers."""
-    c[COMPLIANCE_1] += compliance(s[P1], p[0], p[1])
-    c[COMPLIANCE_2] += compliance(s[P2], p[0], p[1])
+    c[of.COMPLIANCE_1] += compliance(s[of.P1], p[0], p[1])
+    c[of.COMPLIANCE_2] += compliance(s[of.P2], p[0], p[1])
 
 
 ENTRAINED_AIR = Effect(
@@ -47,8 +37,8 @@ ENTRAINED_AIR = Effect(
         Parameter("n", "1", "polytropic exponent", 1.0, 1.67, 0.2, 1.4),
     ),
     term=entrained_air_term,
-    adds=(COMPLIANCE_1, COMPLIANCE_2),
-    reads=(P1, P2),
+    adds=(of.COMPLIANCE_1, of.COMPLIANCE_2),
+    reads=(of.P1, of.P2),
     statement="{alpha:%} of free air (at atmospheric pressure) softens the oil at low pressure",
     rig_check="Raise the charge pressure: the apparent bulk modulus must rise with it.",
     starts=lambda r: ({"alpha": 1e-3, "n": 1.4},),
@@ -59,8 +49,8 @@ ENTRAINED_AIR = Effect(
 @njit
 def position_dependent_volume_term(s, p, m, c):
     """Add A_v x of oil volume to chamber 1, and take r A_v x from chamber 2."""
-    c[VOLUME_1] += p[0] * s[X]
-    c[VOLUME_2] -= p[0] * p[1] * s[X]
+    c[of.VOLUME_1] += p[0] * s[of.X]
+    c[of.VOLUME_2] -= p[0] * p[1] * s[of.X]
 
 
 POSITION_DEPENDENT_VOLUME = Effect(
@@ -75,8 +65,8 @@ POSITION_DEPENDENT_VOLUME = Effect(
                   0.0, 100.0, 1.0, 1.0, fitted=False),
     ),
     term=position_dependent_volume_term,
-    adds=(VOLUME_1, VOLUME_2),
-    reads=(X,),
+    adds=(of.VOLUME_1, of.VOLUME_2),
+    reads=(of.X,),
     statement="the oil volumes change with position as under a piston of {A_v}",
     rig_check="Excite the oil column at both ends of the travel: its resonance must shift between "
     "them.",
@@ -105,14 +95,14 @@ SHORTEST = 1.0  # integration steps: a faster line is not resolved, and left out
 def line_dynamics_term(s, p, m, c):
     """Replace the shaft's speed by what leaves the line; a new memory is a line at rest."""
     if m[0] != 0.0 or m[1] != 0.0:
-        c[SPEED] += m[0] - s[OMEGA]
+        c[of.SPEED] += m[0] - s[of.OMEGA]
 
 
 @njit
 def line_dynamics_update(s, p, h, m):
     """Carry both over one step that has ended at the signals ``s``."""
     time, impedance = p[0], p[2]
-    omega, dp = s[OMEGA], s[P1] - s[P2]
+    omega, dp = s[of.OMEGA], s[of.P1] - s[of.P2]
     if time < SHORTEST * h:
         m[0] = 0.0
         m[1] = 0.0
@@ -153,8 +143,8 @@ LINE_DYNAMICS = Effect(
                   1.0, 1e7, 1e4, 1e4),
     ),
     term=line_dynamics_term,
-    adds=(SPEED,),
-    reads=(OMEGA,),
+    adds=(of.SPEED,),
+    reads=(of.OMEGA,),
     update=line_dynamics_update,
     statement="the oil in the line rings with a period of 2 pi times {T_l}, damping ratio "
     "{zeta}: flow reaches the chambers late",
