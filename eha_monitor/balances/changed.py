@@ -70,7 +70,8 @@ def against(machine: Machine, recordings: Sequence[Recording], settings: Setting
     if not any(course.moving.any() for course in courses):
         return replace(still(recordings, courses, (), started), references=references)
     courses = machine.moved(courses)
-    judged = beside_viscosity(machine, judge(machine, courses, settings), rig)
+    judged = beside_viscosity(machine, judge(machine, courses, settings), rig,
+                              float(np.mean([course.viscosity for course in courses])))
     stiffness = stiffness_of(courses, rig)
     judged = replace(judged, balances=tuple(replace(one, changed=tuple(
         moved for moved in one.changed if not _as_stiff(moved, machine, stiffness)))
@@ -325,12 +326,46 @@ def _advice(machine: Machine, courses: Sequence[Course], references: tuple[str, 
 BOTH = ("B", "L")
 
 
-def beside_viscosity(machine: Machine, judged: Judged, rig: Rig) -> Judged:
-    """Return a recording with B or L as changed too, where one has moved beside the other."""
-    moved = _moved(machine, judged, rig)
+def beside_viscosity(machine: Machine, judged: Judged, rig: Rig, viscosity: float) -> Judged:
+    """Return a recording with B or L as changed too, where one has moved beside the other.
+
+    Parameters
+    ----------
+    viscosity : of the recording's oil, as :attr:`Machine.viscosity`; NaN where not measured.
+    """
+    moved = _at_temperature(machine, judged, viscosity) or _moved(machine, judged, rig)
     return judged if moved is None else replace(judged, balances=tuple(
         one.with_change(moved) if one.balance == moved.candidate.balance else one
         for one in judged.balances))
+
+
+def _at_temperature(machine: Machine, judged: Judged, viscosity: float) -> Moved | None:
+    """Return B where it has changed at one temperature of the oil; None where nothing says so.
+
+    Where every recording measures the temperature the viscosity is known, and B over it is
+    compared; unless the law of viscosity makes the references more unlike than they are.
+    """
+    rows = [(np.array(one.each)[:, j], np.array(one.each_stddev)[:, j])
+            for one in machine.balances for j, p in enumerate(one.parameters) if p.name == "B"]
+    if (machine.pieces or not machine.viscosity or not np.isfinite(viscosity) or len(rows) != 1
+            or len(rows[0][0]) < 2 or not (rows[0][0] > 0.0).all()
+            or not judged.values.get("B", (0.0,))[0] > 0.0
+            or any(moved.candidate.name == "B" for moved in judged.changed)):
+        return None
+    (each, deviation), (value, total, chance) = rows[0], judged.values["B"]
+    logs, runs = np.log(each / np.array(machine.viscosity)), len(each)
+    spread, noise = float(logs.std(ddof=1)), float(np.median(deviation / each))
+    if spread > np.log(each).std(ddof=1):
+        return None
+    healthy = float(np.exp(logs.mean())) * viscosity
+    off, limit = float(np.log(value / healthy)), limit_of(runs, 1.0, machine.policy.false)
+    t = off / np.sqrt(spread**2 * (1.0 + 1.0 / runs) + max((chance / value)**2 - noise**2, 0.0))
+    if not abs(t) > limit or not abs(np.expm1(off)) > machine.policy.near:
+        return None
+    of = {c.name: c for one in judged.balances for c in one.table.candidates}
+    return Moved(of["B"], value, total, healthy, healthy * float(np.hypot(spread, noise)),
+                 float(t), limit, apart=healthy * abs(float(np.expm1(off) / t)),
+                 given=" at the temperature of its oil")
 
 
 def _moved(machine: Machine, judged: Judged, rig: Rig) -> Moved | None:

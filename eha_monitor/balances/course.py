@@ -17,6 +17,7 @@ from eha_monitor.errors import InputError
 from eha_monitor.estimation.modelled import contributions_along
 from eha_monitor.estimation.rig_model import added_by, force_missing, force_of
 from eha_monitor.estimation.sensors import noise_levels, quantum, without_spikes
+from eha_monitor.indicators.laws import viscosity_ratio
 from eha_monitor.physics import signals as s
 from eha_monitor.physics.contributions import circuit_of, new_memory
 from eha_monitor.physics.parameters import theta_of
@@ -72,6 +73,8 @@ class Course:
     moving : (m,) bool, fast enough for dry friction to have a sign.
     through_one : whichever way it turns, the pump acts on chamber 1
         (:func:`~eha_monitor.balances.together.of_one_machine`).
+    viscosity : of the oil at the temperature that the recording measures, over that at the
+        reference temperature (``viscosity`` of the config); NaN where no channel has it.
     """
 
     source: str
@@ -98,6 +101,7 @@ class Course:
     good: np.ndarray
     moving: np.ndarray
     through_one: bool = False
+    viscosity: float = np.nan
 
     def __len__(self) -> int:
         return len(self.x)
@@ -292,9 +296,20 @@ def course_of(recording: Recording, settings: Settings, band: float = BAND) -> C
         COMMANDED if "omega_d" in whole else MEASURED, {}, _sensors(noise, cleaned),
         0.5 * dt, passed(dt, band), bool(pressures) and min(
             float(np.quantile(p, 0.01)) for p in pressures) < GAUGE * rig.ambient_pressure,
-        rig.area_2 / rig.area_1 if rig.area_1 and rig.area_2 else None, good, moving & good)
+        rig.area_2 / rig.area_1 if rig.area_1 and rig.area_2 else None, good, moving & good,
+        viscosity=_viscosity(recording, settings))
     found.known.update(known_of(found, rig, theta, active))
     return found
+
+
+def _viscosity(recording: Recording, settings: Settings) -> float:
+    """Return the oil's viscosity over that at the reference temperature; NaN if not measured."""
+    if not recording.has("temperature"):
+        return np.nan
+    law = settings.viscosity
+    return 1.0 / viscosity_ratio(
+        float(np.nanmean(recording.channels["temperature"])), law.reference_temperature,
+        law.coefficient, law.grade, law.at_100)
 
 
 def _gaps(missing: np.ndarray, short: int) -> np.ndarray:

@@ -159,6 +159,8 @@ class Machine:
     stiffness : of the oil, by least squares.
     areas : of the rig, m^2; None of a file that does not hold them.
     through_one : its pump acts on chamber 1 whichever way it turns.
+    viscosity : of the oil in each recording, over that at the reference temperature; empty where
+        not all of them measure its temperature.
     """
 
     rig: str
@@ -172,6 +174,7 @@ class Machine:
     stiffness: Stiffness = UNKNOWN
     areas: tuple[float, float] | None = None
     through_one: bool = False
+    viscosity: tuple[float, ...] = ()
 
     def __getitem__(self, balance: str) -> MachineBalance:
         return next(one for one in self.balances if one.balance == balance)
@@ -199,7 +202,7 @@ class Machine:
             "load_varied": self.load_varied, "turns": self.scale.turns, "pieces": self.pieces,
             "odd": self.odd,
             "stiffness": self.stiffness, "areas": self.areas, "scale": self.scale,
-            "through_one": self.through_one,
+            "through_one": self.through_one, "viscosity": self.viscosity,
             "policy": self.policy, "balances": self.balances})
 
 
@@ -275,9 +278,11 @@ def machine_from(courses: Sequence[Course], rig: Rig, vary: Sequence[str], witho
         found.append(one)
     sources = tuple(Path(one.source).name or f"recording {i + 1}"
                     for i, one in enumerate(courses))
+    viscosity = tuple(course.viscosity for course in courses)
     return Machine(rig.name, sources, scale, bool(varied), pieces, tuple(found),
                    _odd(sources, found, policy), policy, stiffness_of(courses, rig),
-                   (rig.area_1, rig.area_2), courses[0].through_one)
+                   (rig.area_1, rig.area_2), courses[0].through_one,
+                   viscosity if np.isfinite(viscosity).all() else ())
 
 
 def pressure_varied(courses: Sequence[Course], policy: Policy) -> bool:
