@@ -156,6 +156,29 @@ def test_a_damping_that_alone_has_changed_has_a_place():
     assert found.changes[0].now.value == pytest.approx(800, rel=0.01)
 
 
+def test_a_damping_that_the_warmth_would_cover_is_compared_at_one_temperature(settings):
+    law = settings.viscosity
+
+    def warm(seed, temperature, damping=1500.0, measured=True):
+        b = damping * np.exp(-law.coefficient * (temperature - law.reference_temperature))
+        found = stranger(seed, rise=0.0, damping=(b, b), seconds=16.0)
+        if measured:
+            found.channels["temperature"] = np.full(len(found), temperature)
+        return found
+
+    for measured in (True, False):
+        healthy = [warm(seed, degrees, measured=measured)
+                   for seed, degrees in enumerate((32.0, 40.0, 48.0, 56.0))]
+        known = machine_of(healthy, settings)
+        hot = against(known, [warm(10, 60.0, measured=measured)], settings, known.sources)
+        worn = against(known, [warm(11, 45.0, 2300.0, measured)], settings, known.sources)
+        assert hot.verdict == "consistent"
+        assert [one.what for one in worn.changes] == (["B"] if measured else [])
+        if measured:
+            b = 1500.0 * np.exp(-law.coefficient * (45.0 - law.reference_temperature))
+            assert worn.changes[0].reference.value == pytest.approx(b, rel=0.05)
+
+
 def test_the_balances_compare_first_whatever_the_config_holds():
     healthy, effect = simulated(MULTISINE, 6.0), {"quadratic_friction": {"a_1": 1.0}}
     worn = simulated(MULTISINE, 6.0, rig={"viscous_damping": 800.0}).recording(9)

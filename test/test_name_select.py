@@ -11,6 +11,7 @@ from mismatch_tools import fitted, recorded
 
 from eha_monitor.concealed.cases import Case
 from eha_monitor.mismatch.data.experiment import experiment_of
+from eha_monitor.mismatch.likelihood.fit import remade
 from eha_monitor.mismatch.name.candidates import log_prior
 from eha_monitor.mismatch.name.columns import rig_free
 from eha_monitor.mismatch.name.naming import in_place_of
@@ -30,11 +31,13 @@ from eha_monitor.mismatch.name.refit import (
     discrepancy,
     evidence_of,
     settled,
+    unfitted,
     wide,
 )
 from eha_monitor.mismatch.name.select import (
     Search,
     far_off,
+    finish,
     lacks,
     lesser,
     nominal_model,
@@ -45,6 +48,7 @@ from eha_monitor.mismatch.name.select import (
 )
 from eha_monitor.mismatch.name.starts import starts_of, with_effect
 from eha_monitor.mismatch.policy import POLICY
+from eha_monitor.physics.parameters import place_of
 
 
 def counted(left):
@@ -273,6 +277,30 @@ def test_a_model_in_which_two_parameters_are_one_is_no_model_and_no_breakdown():
                     covariance=np.zeros((2, 2)))
     made = polished(clean.experiment, twice, Slopes(clean.experiment), steps=1)
     assert made.log_likelihood == -np.inf or np.isfinite(made.covariance).all()
+
+
+@pytest.mark.parametrize("period", [2.19, 0.58])
+def test_a_fit_that_stopped_far_from_its_optimum_is_not_called_converged(period):
+    ringing = fitted("line_dynamics")
+    theta = ringing.after.theta.copy()
+    theta[place_of("line_dynamics.T_l")] *= period
+    start = remade(ringing.experiment, ringing.after, theta=theta)
+    made = polished(ringing.experiment, start, Slopes(ringing.experiment), 40)
+    assert not made.converged or made.log_likelihood > ringing.after.log_likelihood - 5.0
+
+
+def test_that_nothing_is_missing_is_never_judged_by_half_a_fit():
+    clean = fitted()
+    refits = Refits(POLICY)
+    half = polished(clean.experiment, with_rig(clean.experiment, unfitted(clean.experiment)),
+                    Slopes(clean.experiment), 1)
+    other = settled(clean.experiment, with_rig(clean.experiment, with_effect(
+        clean.before, starts_of("line_dynamics", clean.experiment)[0], ())))
+    refits.add(clean.experiment, frozenset(), half)
+    refits.add(clean.experiment, frozenset(other.named), other)
+    assert refits.best()
+    finish(clean.experiment, refits)
+    assert refits.fits[frozenset()].converged and not refits.best()
 
 
 def test_each_member_of_the_best_set_is_taken_away_once():
