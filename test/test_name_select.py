@@ -279,14 +279,14 @@ def test_a_model_in_which_two_parameters_are_one_is_no_model_and_no_breakdown():
     assert made.log_likelihood == -np.inf or np.isfinite(made.covariance).all()
 
 
-@pytest.mark.parametrize("period", [2.19, 0.58])
-def test_a_fit_that_stopped_far_from_its_optimum_is_not_called_converged(period):
+def test_a_failed_step_is_shortened_until_it_succeeds():
     ringing = fitted("line_dynamics")
     theta = ringing.after.theta.copy()
-    theta[place_of("line_dynamics.T_l")] *= period
+    theta[place_of("line_dynamics.T_l")] *= 1.72
     start = remade(ringing.experiment, ringing.after, theta=theta)
     made = polished(ringing.experiment, start, Slopes(ringing.experiment), 40)
-    assert not made.converged or made.log_likelihood > ringing.after.log_likelihood - 5.0
+    assert start.log_likelihood < ringing.after.log_likelihood - 10_000
+    assert made.log_likelihood > ringing.after.log_likelihood - 100
 
 
 def test_that_nothing_is_missing_is_never_judged_by_half_a_fit():
