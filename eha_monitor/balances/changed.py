@@ -49,7 +49,7 @@ FASTER = 1.2  # times the references' speed: beyond it nothing is known of the m
 WHAT = {"B": "B", "C_h": "beta_e", "D_p": "pump_displacement"}
 EFFECTS = {"viscous_damping": "B", "compliance": "beta_e"}
 WORDS = {"B": "viscous damping B", "C_h": "the effective bulk modulus",
-         "D_p": "the pump's displacement"}
+         "D_p": "the pump's displacement", "L": "leakage across the piston"}
 
 
 def against(machine: Machine, recordings: Sequence[Recording], settings: Settings,
@@ -142,7 +142,12 @@ def _in_words(moved: Moved, settings: Settings, oils: tuple[Stiffness, Stiffness
     """
     rig, c = settings.rig, moved.candidate
     held = settings.effects.get(c.effect, {}).get(c.symbol, 0.0)
+    if c.name == "L":  # half of the config's acts like it
+        held += 0.5 * rig.leakage
     pair = (moved.machine + held, moved.spread), (moved.here + held, moved.stddev)
+    if c.sign > 0 or c.name == "L":  # what cannot be negative and is so by chance is nil
+        pair = tuple((max(value, 0.0) if POLICY.varied * stddev > -value else value, stddev)
+                     for value, stddev in pair)
     known = [one.modulus for one in oils]
     if c.name == "C_h" and all(POLICY.sure(*one) for one in known):
         return Value(*known[0], "Pa"), Value(*known[1], "Pa"), "Pa"
