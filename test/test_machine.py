@@ -156,6 +156,21 @@ def test_a_damping_that_alone_has_changed_has_a_place():
     assert found.changes[0].now.value == pytest.approx(800, rel=0.01)
 
 
+def test_a_leakage_is_told_as_it_is_whatever_the_config_holds():
+    healthy, told = simulated(MULTISINE, 6.0), []
+    worn = simulated(MULTISINE, 6.0, effects={"cross_port_leakage": {"L": 2e-12}}).recording(9)
+    for leakage in (healthy.config.rig.leakage, 4.0 * healthy.config.rig.leakage):
+        config = simulated(MULTISINE, 6.0, rig={"leakage": leakage}).config
+        known = machine_of([replace(healthy.recording(seed), source=f"{seed}")
+                            for seed in range(3)], config)
+        change = next(one for one in against(known, [worn], config, known.sources).changes
+                      if one.what == "cross_port_leakage")
+        assert change.now.value - change.reference.value == pytest.approx(2e-12, rel=0.03)
+        assert change.statement.startswith("leakage across the piston is")
+        told.append(change.reference.value)
+    assert told[0] > 0.0 and told[1] == pytest.approx(told[0], rel=0.05)
+
+
 def test_a_damping_that_the_warmth_would_cover_is_compared_at_one_temperature(settings):
     law = settings.viscosity
 
