@@ -77,6 +77,8 @@ HEADERS = [  # header, unit of the map, quantity, demand, chamber
     ("Zeit [ms]", "ms", "time", False, 0),
     ("Temps (s)", "s", "time", False, 0),
     ("t_s", "s", "time", False, 0),
+    ("n_rad_s", "rad/s", "turning", False, 0),
+    ("v_mm_s", "mm/s", "velocity", False, 0),
     ("Tiempo", "", "time", False, 0),
     ("I_motor", "", "", False, 0),
     ("status", "", "", False, 0),

@@ -135,6 +135,10 @@ def parted(name: str) -> tuple[str, str, str]:
             if kind:
                 return name[:match.start()].strip(" _-"), unit, kind
     words = re.split(r"[\s_.\-]+", name.strip())
+    if len(words) > 2 and words[-1] in ("s", "min"):  # n_rad_s, v_mm_s: no "/" is in a name
+        unit, kind = kind_of("/".join(words[-2:]))
+        if kind in ("velocity", "turning"):
+            return " ".join(words[:-2]), unit, kind
     if len(words) > 2 and words[-1].casefold() in _OVER and (
             words[-2].casefold() in _TRAILING):  # p_A bar g
         unit, kind = kind_of(" ".join(words[-2:]))
