@@ -5,6 +5,7 @@ speed at which a pump delivers its flow to chamber 1, and a drive that lags its 
 """
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -194,3 +195,19 @@ def test_a_load_matters_as_all_else_does(settings):
     assert slight.verdict == "consistent"
     found = said(healthy, pumped(23, rough=220.0, load=5800.0 + 0.3 * size), settings)
     assert [one.what for one in found.changes] == ["constant_load"]
+
+
+def test_signals_that_only_one_side_has_are_told(machine, settings):
+    """The flow was left out without a word where the recording has no pump speed."""
+    blind = pumped(24)
+    blind = replace(blind, channels={name: blind.channels[name] for name in ("x", "p1", "p2")})
+    lines = said(machine, blind, settings).health
+    assert [line for line in lines if line.startswith("the flow is not compared: the recording")]
+
+
+def test_references_of_another_size_are_told(settings):
+    other = settings.model_copy(update={"rig": settings.rig.model_copy(update={
+        "pump_displacement": 2.5 * PUMP})})
+    healthy = healthy_machine([pumped(seed) for seed in range(3)], other)
+    (line,) = said(healthy, pumped(24), other).health
+    assert re.search(r"a pump displacement of 1\.6 cm³/rad where the config has 4", line)

@@ -30,6 +30,7 @@ from eha_monitor.settings.rig import Rig
 
 SCHEMA = "eha_monitor/balances/1"
 SHORTEST_S = 1.0  # of a part
+OTHER = 2.0  # times a number of the config: it is of another machine
 PIECES = 8  # in which fewer recordings than a machine needs are cut, together
 LEAST = 0.25  # of the typical spread: a few others may agree by chance
 BASE = ("B", "D_p", "L", "k_d")  # what the config's own model has
@@ -157,6 +158,8 @@ class Machine:
     pieces : they are parts of fewer recordings.
     stiffness : of the oil, by least squares.
     areas : of the rig, m^2; None of a file that does not hold them.
+    mass, displacement : of the config that its balances were made with, kg and m^3/rad; None of a
+        file that does not hold them, or of a rig without.
     through_one : its pump acts on chamber 1 whichever way it turns.
     """
 
@@ -170,6 +173,8 @@ class Machine:
     policy: Policy
     stiffness: Stiffness = UNKNOWN
     areas: tuple[float, float] | None = None
+    mass: float | None = None
+    displacement: float | None = None
     through_one: bool = False
 
     def __getitem__(self, balance: str) -> MachineBalance:
@@ -197,7 +202,8 @@ class Machine:
             "repeating_share": {one.balance: one.repeats for one in self.balances},
             "load_varied": self.load_varied, "turns": self.scale.turns, "pieces": self.pieces,
             "odd": self.odd,
-            "stiffness": self.stiffness, "areas": self.areas, "scale": self.scale,
+            "stiffness": self.stiffness, "areas": self.areas, "mass": self.mass,
+            "displacement": self.displacement, "scale": self.scale,
             "through_one": self.through_one,
             "policy": self.policy, "balances": self.balances})
 
@@ -310,7 +316,8 @@ def machine_from(courses: Sequence[Course], rig: Rig, vary: Sequence[str], witho
                     for i, one in enumerate(courses))
     return Machine(rig.name, sources, scale, bool(varied), pieces, tuple(found),
                    _odd(sources, found, policy), policy, stiffness_of(courses, rig),
-                   (rig.area_1, rig.area_2), courses[0].through_one)
+                   (rig.area_1, rig.area_2), rig.mass, rig.pump_displacement,
+                   courses[0].through_one)
 
 
 def pressure_varied(courses: Sequence[Course], policy: Policy) -> bool:

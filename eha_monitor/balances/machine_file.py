@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from pydantic import TypeAdapter
 
-from eha_monitor.balances.machine import SCHEMA, Machine
+from eha_monitor.balances.machine import OTHER, SCHEMA, Machine
 from eha_monitor.balances.parameters import UNKNOWN
 from eha_monitor.errors import InputError
 from eha_monitor.output import write_json
@@ -45,23 +45,37 @@ def load(path: Path, rig: Rig) -> Machine:
                         for areas in (theirs, own))
         raise InputError(f"{path}: a machine with areas of {others}, expected those of the "
                          f"config, {mine}")
+    for words, unit, there, here in (
+            ("mass", "kg", machine.mass, rig.mass),
+            ("pump displacement", "m³/rad", machine.displacement, rig.pump_displacement)):
+        if there and here and abs(np.log(here / there)) >= np.log(OTHER):
+            raise InputError(f"{path}: a machine made with a {words} of {quantity(there, unit, 3)}"
+                             f", expected that of the config, {quantity(here, unit, 3)}")
     return machine
 
 
 def _read(path: Path) -> Machine:
+    wanted = "expected a machine, as `diagnose A B C --machine FILE` writes it"
     try:
         data = json.loads(Path(path).read_text(encoding="utf-8"))
-        if data.get("schema") != SCHEMA:
-            raise ValueError(f"expected schema {SCHEMA}")
+    except OSError as problem:
+        raise InputError(f"{path}: {wanted}: {problem.strerror}") from problem
+    except ValueError as problem:
+        raise InputError(f"{path}: {wanted}, found a file that is not JSON, or only a part of "
+                         "one") from problem
+    schema = data.get("schema") if isinstance(data, dict) else None
+    if schema != SCHEMA:
+        raise InputError(f"{path}: {wanted}, with schema {SCHEMA}; found "
+                         f"{f'schema {schema}' if schema else 'JSON of another kind'}")
+    try:
         data["sources"] = [row["recording"] for row in data["settings"]]
         # Files of older versions did not tell oils apart, nor hold the machine's own.
         data["balances"] = [_with_infinities({
             "held": one["error"], "beside": one["scatter"]} | one) for one in data["balances"]]
         data["stiffness"] = _with_infinities(data.get("stiffness") or asdict(UNKNOWN))
         return TypeAdapter(Machine).validate_python(data)
-    except (OSError, ValueError, KeyError, TypeError, AttributeError) as problem:
-        raise InputError(f"{path}: expected a machine, as `diagnose A B C --machine FILE` writes "
-                         f"it: {' '.join(str(problem).split())[:300]}") from problem
+    except (ValueError, KeyError, TypeError, AttributeError) as problem:
+        raise InputError(f"{path}: {wanted}: {' '.join(str(problem).split())[:300]}") from problem
 
 
 def _with_infinities(tree):
