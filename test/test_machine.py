@@ -220,8 +220,20 @@ def test_bad_machines_are_refused_in_one_line(settings, tmp_path):
     for text in ("{", '{"schema": "other"}', "[]", '{"schema": "eha_monitor/balances/1"}'):
         path = tmp_path / "bad.json"
         path.write_text(text)
-        with pytest.raises(InputError, match="expected a machine"):
+        with pytest.raises(InputError, match="expected a machine") as said:
             load(path, settings.rig)
+        assert "line 1" not in str(said.value) and str(path) in str(said.value)
+
+
+@pytest.mark.parametrize("key", ["mass", "pump_displacement"])
+def test_a_machine_of_another_size_is_refused_by_its_file(machine, settings, tmp_path, key):
+    own = {"mass": 55.0, "pump_displacement": 8e-7}
+    save(replace(machine, mass=own["mass"], displacement=own["pump_displacement"]),
+         tmp_path / "machine.json")
+    rig = settings.rig.model_copy(update=own | {key: 2.2 * own[key]})
+    with pytest.raises(InputError, match=rf"machine\.json: a machine made with a .*"
+                                         rf"{key.split('_')[-1]} of .*, expected that of"):
+        load(tmp_path / "machine.json", rig)
 
 
 def test_a_machine_of_other_areas_is_refused_by_its_file(machine, settings, tmp_path):

@@ -456,3 +456,28 @@ def test_coarse_and_quiet_sensors_of_a_machine_with_friction_are_not_cut_off(ste
     rounded = {name: np.round(recording.channels[name] / step) * step
                for name in ("p1", "p2") if step}
     assert not held_of(recording, config, **rounded)
+
+
+def test_a_frozen_position_is_told_with_its_interval():
+    """A second of the same position was seen by no offline command."""
+    recording, config = SECOND
+    x, n = recording.channels["x"].copy(), round(1.0 / recording.sample_time)
+    first = int(np.argmax(np.abs(x[2 * n:-2 * n] - x[3 * n:-n]))) + 2 * n
+    x[first:first + n] = x[first]
+    frozen = replace(recording, channels=recording.channels | {"x": x})
+    (line,) = [one.finding for one in plausibility_of(frozen, config).findings
+               if "stands still" in one.finding]
+    a, b = (float(one) for one in line.split(" at ")[1].split(" s ")[0].split("–"))
+    assert (a, b) == pytest.approx((first / n, first / n + 1.0), abs=0.02)
+
+
+def test_a_rig_at_rest_has_no_frozen_position():
+    recording, config = SECOND
+    n = round(1.0 / recording.sample_time)
+    resting = {name: np.concatenate([values[:3 * n], np.full(2 * n, values[3 * n - 1]),
+                                     values[3 * n:]])
+               for name, values in recording.channels.items()}
+    resting["omega"][3 * n:5 * n] = 0.0
+    resting["x"] = np.round(resting["x"] / 1e-4) * 1e-4
+    found = plausibility_of(replace(recording, channels=resting), config).findings
+    assert not [one for one in found if "stands still" in one.finding and "x" in one.channels]

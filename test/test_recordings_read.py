@@ -222,6 +222,15 @@ def test_wrong_type_is_said_or_refused(tmp_path):
         read_recording(write_mcap(tmp_path / "b.mcap", messages(True)), SETTINGS)
 
 
+def test_a_topic_that_the_config_names_and_the_bag_lacks(tmp_path):
+    """It was "no_data" with exit status 0; a default topic may be absent."""
+    bag = write_mcap(tmp_path / "a.mcap", contract_messages(N))
+    assert "temperature" not in read_recording(bag, SETTINGS).channels
+    with pytest.raises(InputError, match=r"channels\.p1: the bag has no topic /nowhere, it has "
+                                         r"/eha/joint_states, /eha/pressure/chamber_1$"):
+        read_recording(bag, with_channels(p1={"topic": "/nowhere", "field": "data"}))
+
+
 def test_foreign_topics_only(tmp_path):
     messages = [("/lidar", PRESSURE, START, pressure(START, 1.0))]
     with pytest.raises(InputError, match=r"expected one of the topics .*the bag has /lidar$"):

@@ -5,6 +5,7 @@ speed at which a pump delivers its flow to chamber 1, and a drive that lags its 
 """
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -22,11 +23,12 @@ A_1, A_2, VOLUME, BETA, PUMP = 3.1e-3, 2.1e-3, 6e-4, 0.9e9, 1.6e-6
 
 
 def pumped(seed, leak=2.4e-12, pump=PUMP, lag=0.014, dry=280.0, seconds=24.0,
-           delay=0.0, valves=False, damping=1.0, oil=None):
+           delay=0.0, valves=False, damping=1.0, oil=None, load=5800.0, rough=0.0):
     """Return a recording; ``pump`` m³/rad, ``lag`` and ``delay`` s of the drive, ``dry`` N.
 
     Behind ``valves`` the pump fills chamber 2 on the way back.  With an ``oil`` so many times as
     viscous the damping is 6200 N s/m times that and ``damping``, and the leak is divided by it.
+    The guides are ``rough``: so many N every 3 mm.
     """
     rng, dt = np.random.default_rng(seed), 2e-3
     t = np.arange(0.0, seconds, dt)
@@ -37,8 +39,8 @@ def pumped(seed, leak=2.4e-12, pump=PUMP, lag=0.014, dry=280.0, seconds=24.0,
     x = np.cumsum(v) * dt
     b, own = rng.uniform(5500.0, 7000.0), rng.uniform(0.85, 1.15)
     b, own = (b, own) if oil is None else (6200.0 * oil, 1.0 / oil)
-    force = (500.0 * np.gradient(v, dt) + damping * b * v + 5800.0
-             + dry * np.tanh(v / 5e-4) + 4e4 * x)
+    force = (500.0 * np.gradient(v, dt) + damping * b * v + load
+             + dry * np.tanh(v / 5e-4) + 4e4 * x + rough * np.sin(2.0 * np.pi * x / 3e-3))
     p2 = 22e5 + 4e5 * np.sin(0.5 * t)
     p1 = (force + A_2 * p2) / A_1
     leak *= own
@@ -172,3 +174,39 @@ def test_a_sum_that_is_no_steadier_says_nothing():
     b, oil = rng.normal(0.0, 0.1, 6), rng.normal(0.0, 0.2, 6)
     assert steadier(b, b + rng.normal(0.0, 0.1, 6)) < 2.0
     assert steadier(oil, 0.02 * rng.normal(0.0, 1.0, 6)) > 2.0
+
+
+def test_no_leak_is_less_than_none(settings):
+    """Pressures of the wrong zero made "-1.6 l/(min MPa)" the healthy leakage of a machine."""
+    healthy = healthy_machine([pumped(seed, leak=-2.4e-11) for seed in range(6)], settings)
+    (leakage,) = [p.value for p in healthy["flow"].parameters if p.name == "L"]
+    assert leakage + 0.5 * settings.rig.leakage == pytest.approx(0.0, abs=1e-15)
+    assert all(p.value >= 0.0 for p in healthy["flow"].parameters if p.name in (
+        "c", "L_1", "L_1a", "L_2a", "k_l"))
+
+
+def test_a_load_matters_as_all_else_does(settings):
+    """It was a change from 2 % of the signal, however much the balance leaves beside it."""
+    rough = [pumped(seed, rough=220.0) for seed in range(6)]
+    healthy = healthy_machine(rough, settings)
+    (size,) = [one.size for one in healthy.balances if one.balance == "force"]
+    slight = said(healthy, pumped(23, rough=220.0, load=5800.0 + 0.03 * size), settings)
+    assert slight.verdict == "consistent"
+    found = said(healthy, pumped(23, rough=220.0, load=5800.0 + 0.3 * size), settings)
+    assert [one.what for one in found.changes] == ["constant_load"]
+
+
+def test_signals_that_only_one_side_has_are_told(machine, settings):
+    """The flow was left out without a word where the recording has no pump speed."""
+    blind = pumped(24)
+    blind = replace(blind, channels={name: blind.channels[name] for name in ("x", "p1", "p2")})
+    lines = said(machine, blind, settings).health
+    assert [line for line in lines if line.startswith("the flow is not compared: the recording")]
+
+
+def test_references_of_another_size_are_told(settings):
+    other = settings.model_copy(update={"rig": settings.rig.model_copy(update={
+        "pump_displacement": 2.5 * PUMP})})
+    healthy = healthy_machine([pumped(seed) for seed in range(3)], other)
+    (line,) = said(healthy, pumped(24), other).health
+    assert re.search(r"a pump displacement of 1\.6 cm³/rad where the config has 4", line)

@@ -379,6 +379,7 @@ def _error(table: Table, half: tuple[np.ndarray, np.ndarray], names: Sequence[st
     """Return the RMS on the judging half, in the unit of y times the root of the samples."""
     fit, judge = half
     places = [table.places[name] for name in names]
-    w = signed_solution(fit[np.ix_(places, places)], fit[places, 0], table.signs[places])
+    w = signed_solution(fit[np.ix_(places, places)], fit[places, 0], table.signs[places],
+                        table.least[places])
     left = judge[0, 0] - 2.0 * w @ judge[places, 0] + w @ judge[np.ix_(places, places)] @ w
     return float(np.sqrt(max(left, 1e-300)))

@@ -205,8 +205,9 @@ def _composed(models: Sequence[Model], courses: Sequence[Course], settings: Sett
         effects, wrong, after = [], (), {}
     where, curves = place_of(shown, courses, effects, wrong, verdict)
     if open_:
-        message = (f"the {listed([one.balance for one in open_])} balance"
-                   f"{'s hold' if len(open_) > 1 else ' holds'} more than the catalogue explains")
+        message = "; ".join(
+            f"nothing of the catalogue explains {share(one.error, 2)} of the {one.balance} balance"
+            for one in open_)
     else:
         message = "; ".join([*(one.statement for one in (*wrong, *effects)), *(
             f"of what varies in the {one.balance}, {share(one.error, 2)} has no name"

@@ -72,7 +72,8 @@ class Candidate:
     upon : family of which another term must be there, because it only adds to one.
     odd : it changes its sign with the direction of motion.
     power : it grows with this power of the speed.
-    configured : what the config has of it, SI; the term is what comes on top.
+    configured : what the config has of it, SI; the term is what comes on top, and no less than
+        its absence where physics wants it positive.
     """
 
     name: str
@@ -97,6 +98,11 @@ class Candidate:
     odd: bool = True
     power: float = 0.0
     configured: float = 0.0
+
+    @property
+    def least(self) -> float:
+        """Bound of a parameter with a sign: with it nothing at all is there."""
+        return -self.configured if self.sign else 0.0
 
     @property
     def kind(self) -> str:
@@ -393,8 +399,9 @@ def flow_candidates(scale: Scale, rig: Rig) -> tuple[Candidate, ...]:
             _over_stroke, family="compliance", odd=False, power=1.0),
         # A leakage that the config gives is known to a factor: that is free in every model.
         one("L", "cross_port_leakage", "m³/(s·Pa)", "leakage beyond the config's",
-            0 if rig.leakage else 1, crossing(lambda dp: dp), always=rig.leakage > 0.0,
-            family="" if rig.leakage else "gap", symbol="L", of_oil=rig.leakage > 0.0),
+            1, crossing(lambda dp: dp), always=rig.leakage > 0.0,
+            family="" if rig.leakage else "gap", symbol="L", of_oil=rig.leakage > 0.0,
+            configured=0.5 * rig.leakage),
         one("c", "turbulent_leakage", "m³/(s·√Pa)", "leakage of an orifice", 1,
             crossing(lambda dp: dp / (dp**2 + LAMINAR**2) ** 0.25), family="gap", symbol="c",
             shape=(("dp_0", LAMINAR),)),

@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from eha_monitor.balances.answer import overlay_of, place_of, still
-from eha_monitor.balances.candidates import SIDES
+from eha_monitor.balances.candidates import SIDES, balances_in
 from eha_monitor.balances.course import Course, courses_of
 from eha_monitor.balances.judge import (
     Judged,
@@ -23,12 +23,13 @@ from eha_monitor.balances.judge import (
     judge,
     left_unseen,
 )
-from eha_monitor.balances.machine import LEAST, Machine
+from eha_monitor.balances.machine import LEAST, OTHER, Machine
 from eha_monitor.balances.model import Model, Term, of_judged
 from eha_monitor.balances.named import FORCE_OF_SENSORS, size_of
 from eha_monitor.balances.parameters import Stiffness, stiffness_of
 from eha_monitor.balances.policy import POLICY
 from eha_monitor.balances.scatter import limit_of
+from eha_monitor.errors import InputError
 from eha_monitor.mismatch.diagnosis import (
     Change,
     Diagnosis,
@@ -38,7 +39,7 @@ from eha_monitor.mismatch.diagnosis import (
     Value,
 )
 from eha_monitor.physics.effects import CATALOGUE
-from eha_monitor.quantity import number, share, with_uncertainty
+from eha_monitor.quantity import number, quantity, share, with_uncertainty
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings.monitor import Settings
 from eha_monitor.settings.rig import Rig
@@ -70,6 +71,7 @@ def against(machine: Machine, recordings: Sequence[Recording], settings: Setting
     if not any(course.moving.any() for course in courses):
         return replace(still(recordings, courses, (), started), references=references)
     courses = machine.moved(courses)
+    apart = _apart(machine, balances_in(courses, rig), settings, references)
     judged = beside_viscosity(machine, judge(machine, courses, settings), rig,
                               float(np.mean([course.viscosity for course in courses])))
     stiffness = stiffness_of(courses, rig)
@@ -106,10 +108,42 @@ def against(machine: Machine, recordings: Sequence[Recording], settings: Setting
             signal_rms=one.size) for one in models}, curves,
         () if verdict == "consistent" else tuple(
             o for one in models if (o := overlay_of(one)) is not None),
-        advice=_advice(machine, courses, references, verdict), health=left_out, changes=changes,
-        references=references, probability={"consistent": np.nan, "unexplained": np.nan},
+        advice=_advice(machine, courses, references, verdict), health=(*left_out, *apart),
+        changes=changes, references=references,
+        probability={"consistent": np.nan, "unexplained": np.nan},
         duration_s=sum(one.duration for one in recordings), machine=machine,
         policy=machine.policy.to_dict(), wall_s=time.perf_counter() - started)
+
+
+def _apart(machine: Machine, there: Sequence[str], settings: Settings,
+           references: tuple[str, ...]) -> tuple[str, ...]:
+    """Return what says that the references may be of another machine, as sentences.
+
+    Balances that only one side has, and a mass or displacement far from the config's.
+
+    Raises
+    ------
+    InputError
+        If no balance is common to both.
+    """
+    rig, own = settings.rig, [one.balance for one in machine.balances]
+    name = references[0] if len(references) == 1 else "the references"
+    if not set(own) & set(there):
+        raise InputError(f"{name}: expected a reference with the signals of the recording, found "
+                         f"the {listed(own)} there and the {listed(there)} in the recording only")
+    found = [f"the {one} is not compared: {name if one in there else 'the recording'} lacks its "
+             "signals" for one in sorted({*own} ^ {*there})]
+    for one in machine.balances:
+        for p in one.parameters:
+            value, configured, words = {
+                "D_p": (p.value, rig.pump_displacement, "a pump displacement"),
+                "dM": (rig.mass + p.value, rig.mass, "a moving mass"),
+            }.get(p.name, (0.0, None, ""))
+            if configured and not 1.0 / OTHER < value / configured < OTHER:
+                unit = "kg" if p.name == "dM" else p.unit
+                found.append(f"{name}: {words} of {quantity(value, unit, 3)} where the config has "
+                             f"{quantity(configured, unit, 3)}: check whether it is this machine")
+    return tuple(found)
 
 
 def shares_of(changes: Sequence[Change], balances: Iterable[str]) -> dict[str, float]:
@@ -314,9 +348,11 @@ def _advice(machine: Machine, courses: Sequence[Course], references: tuple[str, 
     """Return what to know of the references, and what to do next."""
     found = []
     if machine.pieces:
-        found.append(f"{len(references)} reference recordings are too few to estimate how "
-                     "recordings differ; parts of them were compared instead, so a normal "
-                     "difference between recordings may be reported as a change")
+        few = "one reference recording is" if len(references) == 1 else (
+            f"{len(references)} reference recordings are")
+        found.append(f"{few} too few to estimate how recordings differ; parts of them were "
+                     "compared instead, so a normal difference between recordings may be reported "
+                     "as a change")
     found += [f"{one.source} differs from the other references more than a healthy recording "
               f"should ({one.why}): check whether it belongs to them"
               for one in machine.odd if not machine.pieces]

@@ -1,6 +1,6 @@
 """The next recording of a machine: what of it has changed, in a fraction of a second."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -19,6 +19,7 @@ from eha_monitor.balances.scatter import Amplitudes, Scatter, amplitudes_of, lim
 from eha_monitor.balances.table import Table, pooled_table, tables_of
 from eha_monitor.balances.together import setting_of, unseen
 from eha_monitor.settings.monitor import Settings
+from eha_monitor.words import effect_words, listed
 
 MOST_CHANGES = 3  # that are looked for in one balance
 WEARS = "F_c"
@@ -171,9 +172,8 @@ def judge(machine: Machine, courses: Sequence[Course], settings: Settings) -> Ju
                                    np.array(list(held.values())))
         own |= {name: (float(v), float(d)) for name, v, d in zip(free, value, stddev,
                                                                  strict=True)}
-        signed = {c.name for c in candidates if c.sign and c.effect not in settings.effects}
-        found.append(replace(_Beside(one, table, held, free, loose, signed, machine.policy
-                                     ).judged(machine), each=tuple(tables)))
+        found.append(replace(_Beside(one, table, held, free, loose, settings.effects,
+                                     machine.policy).judged(machine), each=tuple(tables)))
         fitted = list(dict.fromkeys([
             *(name for name in found[-1].now if name in table.places), *free]))
         # All together: else damping takes up the friction that came.
@@ -202,7 +202,7 @@ class _Beside:
     ----------
     held : the machine's parameters; ``free`` terms of the recording's own setting.
     loose : spread of what a setting has beside its load.
-    signed : terms of which the config holds nothing, so that their sign is that of physics.
+    effects : of the config, which the terms add to.
     """
 
     one: MachineBalance
@@ -210,13 +210,18 @@ class _Beside:
     held: dict[str, float]
     free: list[str]
     loose: dict[str, float]
-    signed: set[str]
+    effects: Mapping[str, Mapping[str, float]]
     policy: Policy
 
     @cached_property
     def of(self) -> dict[str, Candidate]:
         """Candidates by name, in their order."""
         return {c.name: c for c in self.table.candidates}
+
+    @cached_property
+    def signed(self) -> set[str]:
+        """Terms of which the config has no effect, so that their sign is that of physics."""
+        return {name for name, c in self.of.items() if c.sign and c.effect not in self.effects}
 
     @cached_property
     def oil(self) -> dict[str, float]:
@@ -260,11 +265,14 @@ class _Beside:
         c, forms = self.of[found.names[i]], self.one.form_of
         alike = {other: self.part(c, other) for other in self.held if self.of[other].adds_to(c)}
         base = sum(share * self.held[other] for other, share in alike.items())
+        healthy = base + scatter.mean[i]
+        if c.name in self.signed:  # less than nothing is nothing that can be told from it
+            healthy = max(c.sign * healthy, c.least) * c.sign
         form = float(np.linalg.norm([share * forms.get(other, 0.0)
                                      for other, share in alike.items()]))
         spread = float(np.hypot(scatter.spread[i], form))
         return Moved(c, base + float(found.value[i]), float(np.hypot(found.stddev[i], spread)),
-                     base + scatter.mean[i], spread, float(t), limit, removed, rivals,
+                     healthy, spread, float(t), limit, removed, rivals,
                      float(np.hypot(found.stddev[i], scatter.spread[i])))
 
     def part(self, one: Candidate, other: str) -> float:
@@ -316,11 +324,9 @@ class _Beside:
                                scatter.limit[i], before - after, rivals)
             if changes and not self.beyond(name, step, now):
                 return changes, now, True, largest, None
-            if not self.matters(name, step, before, after):
-                apart = abs(moved.here - moved.machine) / max(abs(moved.deviations), 1e-300)
+            if not self.matters(self.owned(name), step, before, after):
                 surely = abs(moved.deviations) > moved.limit
-                return changes, now, True, largest, (
-                    replace(moved, apart=apart) if surely else None)
+                return changes, now, True, largest, _small(moved) if surely else None
             changes.append(moved)
             now = more
             left, free_oil = (each.moved(i, step) for each in (left, free_oil))
@@ -332,10 +338,15 @@ class _Beside:
         amount, gone = np.array([left.gone_with(self.oil, self.policy.varied, i, mean)
                                  for i, mean in enumerate(scatter.mean)]).T
         for i, name in enumerate(left.names):
-            if self.of[name].quantity in taken or (name in self.signed and self.of[name].sign * (
-                    now.get(name, 0.0) + amount[i]) < 0.0):
+            if self.of[name].quantity in taken or self.beyond_physics(
+                    name, now.get(name, 0.0) + amount[i]):
                 gone[i] = -np.inf
         return amount, gone
+
+    def beyond_physics(self, name: str, value: float) -> bool:
+        """Tell whether a term would be less than nothing: a leak that makes oil, for example."""
+        c = self.of[name]
+        return name in self.signed and c.sign * value < c.least
 
     def chosen(self, left: Amplitudes, removed: np.ndarray) -> tuple[int, list[int]]:
         """Return the term that explains a recording, and those that remove nearly as much.
@@ -361,15 +372,21 @@ class _Beside:
             i = next((j for j in equal if left.names[j] == WEARS), i)
         return i, equal
 
-    def matters(self, name: str, step: float, before: float, after: float) -> bool:
+    def owned(self, name: str) -> float:
+        """Return what the machine has of a term's family, by that term, with the config's, SI."""
+        c = self.of[name]
+        return (own_part(name, self.table, self.surely) + c.configured
+                + self.effects.get(c.effect, {}).get(c.symbol, 0.0))
+
+    def matters(self, own: float, step: float, before: float, after: float) -> bool:
         """Tell whether a machine is repaired for a change.
 
         Parameters
         ----------
+        own : what the machine has of it; ``step`` by how much that has moved, SI.
         before, after : share of the signal that is left without and with it.
         """
-        policy, usual = self.policy, max(self.one.held)
-        own = abs(own_part(name, self.table, self.surely) + self.of[name].configured)
+        policy, usual, own = self.policy, max(self.one.held), abs(own)
         return abs(step) > policy.worse * own and (
             before - after > policy.worse or abs(step) > policy.near * own > 0.0
             or (is_loud(before, usual, self.one.size, self.table)
@@ -387,7 +404,27 @@ class _Beside:
         mine = [table.places[other] for other in own]
         before = unseen(table, mine, places, np.full(len(mine), now.get(name, 0.0)))
         after = unseen(table, [], [*mine, *places], np.zeros(0))
-        return self.matters(name, step, before, after)
+        return self.matters(self.owned(name), step, before, after)
+
+    def instead_of(self, load: Moved) -> tuple[str, ...]:
+        """Return the effects that explain as much of a recording as a constant load has moved.
+
+        By the terms of the balance alone, beside the oil: the load is free while they are looked
+        for, so each of them is shown only what no load can take up.
+        """
+        table, own = self.table, columns_of(load.candidate.name, self.table)
+        names = [name for name in self.one.scatter.names if name in table.places]
+        if len(own) > 1:  # the loads of several recordings are no one column
+            return ()
+        left = amplitudes_of(table, self.held, self.free, [*own, *names], self.oil)
+        gone = np.array([left.gone_with(self.oil, self.policy.varied, i)[1]
+                         for i in range(len(left.names))])
+        by_oil = max(left.gone_with(self.oil, self.policy.varied)[1], 0.0)
+        as_much = gone - by_oil >= (gone[0] - by_oil) * np.exp(-2.0 * self.policy.alone)
+        return tuple(dict.fromkeys(
+            self.of[name].effect for name, amount, there in zip(
+                names, left.value[1:], as_much[1:], strict=True)
+            if there and not self.beyond_physics(name, self.held.get(name, 0.0) + amount)))
 
     def judged(self, machine: Machine) -> JudgedBalance:
         """Return what has changed in the balance, its constant load last, beside all else."""
@@ -400,12 +437,29 @@ class _Beside:
             beside = replace(self, held=held | {name: load.machine}, free=[
                 own for own in free if own not in columns_of(name, table)])
             held, free, now = beside.held, beside.free, now | {name: load.here}
-            changes.append(replace(load, removed=beside.error(held) - beside.error(now)))
+            others = beside.instead_of(load)
+            load = replace(load, rivals=(*load.rivals, *others), given=", which cannot be told "
+                           f"here from {listed([*map(effect_words, others)], 'or')}" if others
+                           else "")
+            before, after = beside.error(held), beside.error(now)
+            own = load.machine + self.effects.get(load.candidate.effect, {}).get(name, 0.0)
+            if self.matters(own, load.here - load.machine, before, after):
+                changes.append(replace(load, removed=before - after))
+            else:
+                held, free, now = self.held, self.free, {
+                    own: value for own, value in now.items() if own != name}
+                small = small or _small(load)
         last = replace(self, held=held, free=free)
         held = last.at_best(held)
         return JudgedBalance(one.balance, table, held, now, last.error(held), last.error(now),
                              max(one.held), tuple(changes), complete, largest, one.size,
                              tuple(free), small=small)
+
+
+def _small(moved: Moved) -> Moved:
+    """Return what surely differs but too little to matter, with the difference's deviation."""
+    return replace(moved, apart=abs(moved.here - moved.machine) / max(
+        abs(moved.deviations), 1e-300))
 
 
 def _farther(scatter: Scatter, left: Amplitudes, beside: Scatter, loose: Amplitudes,

@@ -13,7 +13,8 @@ NULL = 1e-10  # of the largest eigenvalue: directions below have no data
 ROUNDS = 50  # of exchanges between free and held; a handful is usual
 
 
-def signed_solution(gram: np.ndarray, side: np.ndarray, signs: np.ndarray) -> np.ndarray:
+def signed_solution(gram: np.ndarray, side: np.ndarray, signs: np.ndarray,
+                    least: np.ndarray | None = None) -> np.ndarray:
     """Return the weights w with the least 1/2 w'Gw - g'w within their signs, (k,).
 
     Lawson and Hanson's active set (1974, chapter 23) on the Gram matrix.
@@ -23,7 +24,10 @@ def signed_solution(gram: np.ndarray, side: np.ndarray, signs: np.ndarray) -> np
     gram : (k, k) D'D.
     side : (k,) D'y.
     signs : (k,) 1 for w >= 0, -1 for w <= 0, 0 for either.
+    least : (k,) bounds in place of those 0.
     """
+    if least is not None and np.any(least):
+        return least + signed_solution(gram, side - gram @ least, signs)
     k = len(side)
     size = np.sqrt(np.maximum(np.diag(gram), 1e-300)) * np.where(signs < 0, -1.0, 1.0)
     gram, side = gram / np.outer(size, size), side / size

@@ -31,6 +31,7 @@ from eha_monitor.settings.rig import Rig
 
 SCHEMA = "eha_monitor/balances/1"
 SHORTEST_S = 1.0  # of a part
+OTHER = 2.0  # times a number of the config: it is of another machine
 PIECES = 8  # in which fewer recordings than a machine needs are cut, together
 LEAST = 0.25  # of the typical spread: a few others may agree by chance
 BASE = ("B", "D_p", "L", "k_d")  # what the config's own model has
@@ -158,6 +159,8 @@ class Machine:
     pieces : they are parts of fewer recordings.
     stiffness : of the oil, by least squares.
     areas : of the rig, m^2; None of a file that does not hold them.
+    mass, displacement : of the config that its balances were made with, kg and m^3/rad; None of a
+        file that does not hold them, or of a rig without.
     through_one : its pump acts on chamber 1 whichever way it turns.
     viscosity : of the oil in each recording, over that at the reference temperature; empty where
         not all of them measure its temperature.
@@ -173,6 +176,8 @@ class Machine:
     policy: Policy
     stiffness: Stiffness = UNKNOWN
     areas: tuple[float, float] | None = None
+    mass: float | None = None
+    displacement: float | None = None
     through_one: bool = False
     viscosity: tuple[float, ...] = ()
 
@@ -201,7 +206,8 @@ class Machine:
             "repeating_share": {one.balance: one.repeats for one in self.balances},
             "load_varied": self.load_varied, "turns": self.scale.turns, "pieces": self.pieces,
             "odd": self.odd,
-            "stiffness": self.stiffness, "areas": self.areas, "scale": self.scale,
+            "stiffness": self.stiffness, "areas": self.areas, "mass": self.mass,
+            "displacement": self.displacement, "scale": self.scale,
             "through_one": self.through_one, "viscosity": self.viscosity,
             "policy": self.policy, "balances": self.balances})
 
@@ -281,8 +287,8 @@ def machine_from(courses: Sequence[Course], rig: Rig, vary: Sequence[str], witho
     viscosity = tuple(course.viscosity for course in courses)
     return Machine(rig.name, sources, scale, bool(varied), pieces, tuple(found),
                    _odd(sources, found, policy), policy, stiffness_of(courses, rig),
-                   (rig.area_1, rig.area_2), courses[0].through_one,
-                   viscosity if np.isfinite(viscosity).all() else ())
+                   (rig.area_1, rig.area_2), rig.mass, rig.pump_displacement,
+                   courses[0].through_one, viscosity if np.isfinite(viscosity).all() else ())
 
 
 def pressure_varied(courses: Sequence[Course], policy: Policy) -> bool:
@@ -505,23 +511,37 @@ def load(path: Path, rig: Rig) -> Machine:
                         for areas in (theirs, own))
         raise InputError(f"{path}: a machine with areas of {others}, expected those of the "
                          f"config, {mine}")
+    for words, unit, there, here in (
+            ("mass", "kg", machine.mass, rig.mass),
+            ("pump displacement", "m³/rad", machine.displacement, rig.pump_displacement)):
+        if there and here and abs(np.log(here / there)) >= np.log(OTHER):
+            raise InputError(f"{path}: a machine made with a {words} of {quantity(there, unit, 3)}"
+                             f", expected that of the config, {quantity(here, unit, 3)}")
     return machine
 
 
 def _read(path: Path) -> Machine:
+    wanted = "expected a machine, as `diagnose A B C --machine FILE` writes it"
     try:
         data = json.loads(Path(path).read_text(encoding="utf-8"))
-        if data.get("schema") != SCHEMA:
-            raise ValueError(f"expected schema {SCHEMA}")
+    except OSError as problem:
+        raise InputError(f"{path}: {wanted}: {problem.strerror}") from problem
+    except ValueError as problem:
+        raise InputError(f"{path}: {wanted}, found a file that is not JSON, or only a part of "
+                         "one") from problem
+    schema = data.get("schema") if isinstance(data, dict) else None
+    if schema != SCHEMA:
+        raise InputError(f"{path}: {wanted}, with schema {SCHEMA}; found "
+                         f"{f'schema {schema}' if schema else 'JSON of another kind'}")
+    try:
         data["sources"] = [row["recording"] for row in data["settings"]]
         # Files of older versions did not tell oils apart, nor hold the machine's own.
         data["balances"] = [_with_infinities({
             "held": one["error"], "beside": one["scatter"]} | one) for one in data["balances"]]
         data["stiffness"] = _with_infinities(data.get("stiffness") or asdict(UNKNOWN))
         return TypeAdapter(Machine).validate_python(data)
-    except (OSError, ValueError, KeyError, TypeError, AttributeError) as problem:
-        raise InputError(f"{path}: expected a machine, as `diagnose A B C --machine FILE` writes "
-                         f"it: {' '.join(str(problem).split())[:300]}") from problem
+    except (ValueError, KeyError, TypeError, AttributeError) as problem:
+        raise InputError(f"{path}: {wanted}: {' '.join(str(problem).split())[:300]}") from problem
 
 
 def _with_infinities(tree):

@@ -60,6 +60,11 @@ class Table:
         return np.array([0, *(one.sign for one in self.candidates)])
 
     @cached_property
+    def least(self) -> np.ndarray:
+        """Bound of each column's parameter that has a sign, (1 + k,)."""
+        return np.array([0.0, *(one.least for one in self.candidates)])
+
+    @cached_property
     def blocks(self) -> np.ndarray:
         """Products of the columns in each block, (b, 1 + k, 1 + k)."""
         return np.array([part.T @ part for part in (
@@ -139,7 +144,7 @@ class Table:
             left[self.places[name]] = -value
         places = [self.places[name] for name in names]
         left[places] = -signed_solution(gram[np.ix_(places, places)], gram[places] @ left,
-                                        self.signs[places])
+                                        self.signs[places], self.least[places])
         return left
 
     def crosswise(self, names: Iterable[str], held: dict[str, float] | None = None) -> np.ndarray:

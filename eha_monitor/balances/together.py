@@ -131,15 +131,16 @@ class Recordings:
                        if motion.any() else np.ones(len(tables)))
         self._reduced: dict[tuple[int, ...], list[np.ndarray]] = {}
 
-    def split(self, names: Iterable[str]) -> tuple[list[int], list[int], np.ndarray]:
-        """Return columns of machine and settings' parameters, and the signs of the former."""
+    def split(self, names: Iterable[str]
+              ) -> tuple[list[int], list[int], tuple[np.ndarray, np.ndarray]]:
+        """Return columns of machine and settings' parameters; signs and bounds of the former."""
         places, own = self.tables[0].places, self.candidates
         shared, settings = [], []
         for name in names:
             free = own[name].setting or (self.own_oil and own[name].of_oil)
             (settings if free else shared).append(places[name])
-        signs = np.array([self.tables[0].candidates[i - 1].sign for i in shared], dtype=int)
-        return shared, settings, signs
+        table = self.tables[0]
+        return shared, settings, (table.signs[shared], table.least[shared])
 
     def reduced(self, settings: list[int]) -> list[np.ndarray]:
         """Return the products of all columns without what a set of settings' explains."""
@@ -151,22 +152,22 @@ class Recordings:
 
     def shared_fit(self, names: Iterable[str]) -> tuple[np.ndarray, list[np.ndarray]]:
         """Return machine parameters fitted to all recordings, and reduced products of each."""
-        shared, settings, signs = self.split(names)
+        shared, settings, bounds = self.split(names)
         there = np.ix_([0, *shared], [0, *shared])
         reduced = [gram[there] for gram in self.reduced(settings)]
         total = sum(reduced)
-        return signed_solution(total[1:, 1:], total[1:, 0], signs), reduced
+        return signed_solution(total[1:, 1:], total[1:, 0], *bounds), reduced
 
     def without_each(self, names: Iterable[str]
                      ) -> Iterator[tuple[Table, list[int], list[int], np.ndarray]]:
         """Yield each recording with the columns and the fit of the machine to all others."""
         names = list(names)
-        shared, settings, signs = self.split(names)
+        shared, settings, bounds = self.split(names)
         _, reduced = self.shared_fit(names)
         total = sum(reduced)
         for table, own in zip(self.tables, reduced, strict=True):
             rest = total - own
-            yield table, shared, settings, signed_solution(rest[1:, 1:], rest[1:, 0], signs)
+            yield table, shared, settings, signed_solution(rest[1:, 1:], rest[1:, 0], *bounds)
 
     def errors(self, names: Iterable[str]) -> np.ndarray:
         """Return the error of each recording left out, (r,) over its standard deviation."""
@@ -301,11 +302,11 @@ class Recordings:
     def fit(self, names: Iterable[str]) -> Fitted:
         """Return the parameters of a set of terms, their spread between recordings, settings."""
         names = list(names)
-        shared, settings, signs = self.split(names)
+        shared, settings, bounds = self.split(names)
         w, reduced = self.shared_fit(names)
         each, stddev = (np.empty((len(self.tables), len(shared))) for _ in range(2))
         for i, (table, own) in enumerate(zip(self.tables, reduced, strict=True)):
-            each[i] = signed_solution(own[1:, 1:], own[1:, 0], signs)
+            each[i] = signed_solution(own[1:, 1:], own[1:, 0], *bounds)
             left = max(own[0, 0] - own[1:, 0] @ each[i], 0.0)
             scale = max(left / max(table.effective - len(names), 1.0), 1e-300)
             stddev[i] = np.sqrt(np.diag(inverse_of(own[1:, 1:])) * scale)
@@ -404,6 +405,9 @@ def crosswise(table: Table, fit: np.ndarray, judge: np.ndarray, shared: list[int
     mixture = _mixture(table, shared, w)
     if settings:
         part = fit + SOFT * judge
-        mixture[settings] = -weights_of(part[np.ix_(settings, settings)],
-                                        part[settings] @ mixture)
+        gram, side = part[np.ix_(settings, settings)], part[settings] @ mixture
+        signs, least = table.signs[settings], table.least[settings]
+        w = weights_of(gram, side)
+        mixture[settings] = -(w if ((w - least) * signs >= 0.0).all()
+                              else signed_solution(gram, side, signs, least))
     return mixture

@@ -55,14 +55,16 @@ def thresholds(bags: tuple[Path, ...], config: Path | None, rate: float, least: 
     healthy, told, unfit, seconds = _healthy(bags, settings)
     diagnosed = bool(settings.rig.identified)
     remedy = [] if diagnosed else _remedy(list(unfit), bags, config)
+    draft = ["--config", "DRAFT.yaml" if diagnosed else str(config)] if config else []
     compare = shlex.join(["eha-monitor", "diagnose", "NOW", "--reference", *map(str, bags),
-                          "--config", "DRAFT.yaml"])
+                          *draft])
     if not any(healthy.values()):
         if remedy:
-            told.append(f"`{remedy[0]}` finds what the model lacks")
-        elif unfit:
-            told.append(f"`{compare}` compares the next recording (NOW) with these without "
-                        "limits, by the config that init drafted")
+            told.append(f"`{remedy[0]}` finds what the model lacks, and `{remedy[1]}` proposes "
+                        "limits with it")
+        if unfit:
+            told.append(f"what needs no limits: `{compare}` compares the next recording (NOW) "
+                        f"with these{', by the config that init drafted' * diagnosed}")
         raise InputError("; ".join([
             f"{_all_of(bags)}: expected at least one recording in which B or βe converges",
             *told]))

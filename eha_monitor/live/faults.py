@@ -13,6 +13,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from eha_monitor.live.rows import Counts, Rows, Source, steps_from
+from eha_monitor.plausibility.held import SHORTEST_S, is_frozen
 from eha_monitor.recordings.recording import LARGEST, LIMITS
 
 # A sentence stands for so long after its last evidence.
@@ -36,10 +37,6 @@ ENOUGH = 20
 # The velocity is in no stage, and many drivers publish a zero there for ever.
 REFERENCES = {"x": "x_d", "omega": "x", "p1": "x", "p2": "x", "force": "x", "x_d": "x"}
 OTHERWISE = {"x": "omega"}
-# A noisy value repeats by chance for some samples, a quantised one for longer where the motion is
-# slow.  Longer than this, and than so many times what was seen while all was well, is frozen.
-SHORTEST_S = 0.25
-TIMES = 4.0
 # A demand may stand still; only if the position goes on and on without it, it has frozen.
 SHORTEST_DEMAND_S = 1.2
 # The reference moves where it covers this part of what it covered in the last seconds.
@@ -150,7 +147,7 @@ class Stillness:
             self._learnt[name] = self._learnt.get(name, 0.0) + span_s
         demand = name == "x_d"
         if (self._learnt.get(name, 0.0) < LEARNT_S
-                or still < max(SHORTEST_DEMAND_S if demand else SHORTEST_S, TIMES * longest)
+                or not is_frozen(still, longest, SHORTEST_DEMAND_S if demand else SHORTEST_S)
                 or not self._moves(reference, still / 2.0 if demand else still)):
             return 0.0
         return still

@@ -22,6 +22,12 @@ CUT_OFF = 0.02  # of its span: so much of a top must be missing
 STEPS = 4.0  # of the resolution: flatter tops are rounded, not cut off
 HELD_S = 0.1
 MOSTLY = 0.5  # of the samples
+# A noisy value repeats by chance for some samples, a quantised one for longer where the motion is
+# slow.  Longer than this, and than so many times what is usual, is frozen: live and offline.
+SHORTEST_S = 0.25
+TIMES = 4.0
+USUAL = 0.98  # quantile of a motion's steps, and by share of its time of its pauses
+JUMPED = 5.0  # usual steps by which a frozen value is left: a piston goes on from where it stood
 JUMPS = 0.05  # of its span, the usual change from one value to the next
 
 
@@ -60,7 +66,44 @@ def held(recording: Recording) -> tuple[ChannelFinding, ...]:
             runs, values, span, name)
         if said:
             found.append(ChannelFinding(f"{name} {said}", "hold", (name,)))
+    whole = {name: np.asarray(values, dtype=float)
+             for name, values in recording.channels.items() if name in ("x", "p1", "p2", "omega")}
+    if said := _frozen(whole, recording.sample_time):
+        found.append(ChannelFinding(said, "hold", ("x",)))
     return tuple(found)
+
+
+def is_frozen(still: float, usual: float, shortest: float = SHORTEST_S) -> bool:
+    """Tell whether a channel stands still for longer than one that moves does, s."""
+    return still >= max(shortest, TIMES * usual)
+
+
+def _frozen(channels: dict[str, np.ndarray], dt: float) -> str:
+    """Return where the position is frozen while the machine moves, in words, or "".
+
+    At rest nothing else moves, and a piston that sticks goes on from where it stood.
+    """
+    x = channels.get("x")
+    if x is None or np.isfinite(x).sum() < FEWEST:
+        return ""
+    steps = np.abs(np.diff(x))
+    changes = steps[np.isfinite(steps) & (steps > 0.0)]
+    if not len(changes) or len(channels) < 2:
+        return ""
+    runs = _still_while_others_move("x", channels)
+    jump = np.append(np.nan_to_num(steps), 0.0)[runs.stops - 1] > JUMPED * np.quantile(
+        changes, USUAL)
+    ordinary = runs.lengths[~jump] * dt
+    usual = float(ordinary.max()) if len(ordinary) else 0.0
+    frozen = runs.of(jump & np.array([is_frozen(one, usual) for one in runs.lengths * dt],
+                                     dtype=bool))
+    if not len(frozen.starts):
+        return ""
+    first, last = frozen.starts * dt, frozen.stops * dt
+    where = ", ".join(f"{a:.2f}–{b:.2f}" for a, b in zip(first[:3], last[:3], strict=True))
+    more = f" s and {len(first) - 3} more" if len(first) > 3 else " s"
+    return (f"x stands still at {where}{more} while the pressures or the pump move, and then "
+            "jumps: a frozen sensor, or a logger that repeats its last value")
 
 
 def _still_while_others_move(name: str, channels: dict[str, np.ndarray]) -> _Runs:

@@ -21,7 +21,7 @@ from eha_monitor.recordings.cdr import Series, TopicReader, Want, types_of
 from eha_monitor.recordings.columns import PIECE, Column
 from eha_monitor.recordings.grid import JITTER, Grid, fit_grid, repair, tell_gaps
 from eha_monitor.recordings.recording import CHANNELS, LARGEST, Recording
-from eha_monitor.settings.channels import Channel
+from eha_monitor.settings.channels import DEFAULT_CHANNELS, Channel
 from eha_monitor.settings.monitor import Settings
 
 FEWEST = 1000  # samples of the reference from which its grid is told
@@ -277,6 +277,7 @@ def _read(path: str | Path, settings: Settings, streamed: bool) -> Recording:
         collector.take(file, block)
     collector.flush(last=True)
     losses = bag.damage()
+    collector.declared = {one.topic for file in bag.files for one in file.channels.values()}
     found = collector.sources(str(path), losses)
     if collector.stream is not None:
         recording = collector.stream.finish(str(path), losses, found)
@@ -302,6 +303,7 @@ class Collector:
         self.notes: list[str] = []
         self.known: dict[tuple, TopicReader | None] = {}
         self.topics_seen: dict[str, str] = {}
+        self.declared: set[str] = set()  # topics of the bag, some without a message
         self.pending: list[tuple] = []
         self.pending_bytes = 0
 
@@ -420,9 +422,15 @@ class Collector:
         losses.extend(self.notes)
         found: Sources = {}
         unfit: list[str] = []
+        absent: list[str] = []  # of topics that the config itself names
         for name, channel in self.channels_wanted.items():
             topic = self._topic(source, name, channel)
             if topic is None:
+                default = DEFAULT_CHANNELS.get(name)
+                if channel.topic and not losses and (
+                        default is None or channel.topic != default.topic) and not any(
+                        self._matches(channel, one) for one in self.declared):
+                    absent.append(f"channels.{name}: the bag has no topic {self._exact(channel)}")
                 continue
             want = Want(channel.field or "data", channel.name)
             reader = self.readers.get(topic)
@@ -438,6 +446,8 @@ class Collector:
                               f"could not be decoded as {reader.msgtype}")
         if not found:
             raise InputError(self._nothing(source, unfit, losses))
+        if absent:
+            raise InputError(f"{source}: {'; '.join(absent)}, it has {self._seen()}")
         losses.extend(unfit)
         return found
 
@@ -477,6 +487,11 @@ class Collector:
             wants = ", ".join(f"{w.name}.{w.field}" if w.name else w.field
                               for w in reader.wants)
             return f"{source}: {read[0]}: no finite value in any message, expected {wants}"
-        more = f" and {len(seen) - 6} more" if len(seen) > 6 else ""
         return (f"{source}: expected one of the topics {', '.join(wanted)}; the bag has "
-                f"{', '.join(seen[:6])}{more}")
+                f"{self._seen()}")
+
+    def _seen(self) -> str:
+        """Return the topics of the bag, the first of many."""
+        seen = sorted(self.topics_seen)
+        more = f" and {len(seen) - 6} more" if len(seen) > 6 else ""
+        return f"{', '.join(seen[:6])}{more}"
