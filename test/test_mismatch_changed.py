@@ -11,6 +11,7 @@ from eha_monitor.api.diagnosis_answer import answer
 from eha_monitor.mismatch.data.experiment import experiment_of
 from eha_monitor.mismatch.data.stretch import cut
 from eha_monitor.mismatch.diagnose import diagnose
+from eha_monitor.mismatch.diagnosis import NamedEffect, Value, health_sentences
 from eha_monitor.mismatch.name.naming import Naming
 from eha_monitor.mismatch.policy import POLICY
 from eha_monitor.mismatch.show.changed import change_words, changed_between
@@ -94,3 +95,12 @@ def test_the_whole_answer_on_air_that_enters():
 
 def replace_source(recording: Recording, name: str) -> Recording:
     return replace(recording, source=name)
+
+
+def test_a_term_has_one_size_in_a_sentence():
+    """One page had "190 N of Coulomb friction" beside "F_c = 170 N"."""
+    effect = NamedEffect("coulomb_friction", "force", "Coulomb friction of 170 N",
+                         {"F_c": Value(170.0, 70.0, "N")}, 9.0, (), "", "", "190 N")
+    before, after = ({"B": Value(b, 50.0, "N·s/m")} for b in (2200.0, 800.0))
+    assert health_sentences(before, after, [effect]) == (
+        "B read 2200 N·s/m; 1400 N·s/m of it is Coulomb friction, not wear",)

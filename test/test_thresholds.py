@@ -132,6 +132,11 @@ def test_dry_friction_needs_the_diagnosed_model(bags, tmp_path, capsys):
     assert f"  eha-monitor diagnose {bag} --write-config diagnosed.yaml\n" in out
     again = re.search(r"^  eha-monitor (thresholds .* --config diagnosed.yaml .*)$", out, re.M)
     assert again, out
+    assert main(["thresholds", "--from", str(bag)]) == 2  # and nothing else to go by
+    err = capsys.readouterr().err
+    assert f"`eha-monitor diagnose {bag} --write-config diagnosed.yaml` finds" in err
+    assert f"`eha-monitor thresholds --from {bag} --config diagnosed.yaml" in err
+    assert f"what needs no limits: `eha-monitor diagnose NOW --reference {bag}`" in err
     # What diagnose would write: the second command then has nothing to say against the model.
     words = again[1].replace("diagnosed.yaml", str(config)).replace("judged.yaml", str(
         tmp_path / "judged.yaml")).split()

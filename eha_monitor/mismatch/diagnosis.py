@@ -371,8 +371,7 @@ def health_sentences(before: dict[str, Value], after: dict[str, Value],
         change = first.value - then
         if abs(change) < NOTABLE * abs(then) or abs(change) < 3.0 * after[name].stddev:
             continue
-        cause = " and ".join(f"{effect.size} of {effect_words(effect.name)}".strip()
-                             for effect in own[:3])
+        cause = " and ".join(effect_words(effect.name) for effect in own[:3])
         read = f"{HEALTH_WORDS[name]} read {quantity(first.value, first.unit, 3)}"
         sense = "not wear" if name == "B" else "not the fluid"
         if change > 0:
