@@ -8,8 +8,9 @@ from hypothesis import strategies as st
 
 from eha_monitor.estimation.model_watch import LONGEST_TRIAL_S
 from eha_monitor.estimation.results import ParameterEstimate, Taint
-from eha_monitor.health.alarms import ALARM_NAMES, AlarmBoard, viscosity_factor
+from eha_monitor.health.alarms import ALARM_NAMES, AlarmBoard
 from eha_monitor.health.judge import Rebase
+from eha_monitor.indicators.laws import viscosity_factor
 from eha_monitor.settings import Settings, settings_from_tree
 
 LIMIT = 1000.0

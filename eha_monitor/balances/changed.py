@@ -23,11 +23,11 @@ from eha_monitor.balances.judge import (
     judge,
     left_unseen,
 )
-from eha_monitor.balances.machine import LEAST, OTHER, Machine
+from eha_monitor.balances.machine import LEAST, Machine, of_another
 from eha_monitor.balances.model import Model, Term, of_judged
 from eha_monitor.balances.named import FORCE_OF_SENSORS, size_of
 from eha_monitor.balances.parameters import Stiffness, stiffness_of
-from eha_monitor.balances.policy import POLICY
+from eha_monitor.balances.policy import POLICY, Policy
 from eha_monitor.balances.scatter import limit_of
 from eha_monitor.errors import InputError
 from eha_monitor.mismatch.diagnosis import (
@@ -72,7 +72,7 @@ def against(machine: Machine, recordings: Sequence[Recording], settings: Setting
         return replace(still(recordings, courses, (), started), references=references)
     courses = machine.moved(courses)
     apart = _apart(machine, balances_in(courses, rig), settings, references)
-    judged = beside_viscosity(machine, judge(machine, courses, settings), rig,
+    judged = beside_viscosity(machine, judge(machine, courses, settings),
                               float(np.mean([course.viscosity for course in courses])))
     stiffness = stiffness_of(courses, rig)
     judged = replace(judged, balances=tuple(replace(one, changed=tuple(
@@ -139,7 +139,7 @@ def _apart(machine: Machine, there: Sequence[str], settings: Settings,
                 "D_p": (p.value, rig.pump_displacement, "a pump displacement"),
                 "dM": (rig.mass + p.value, rig.mass, "a moving mass"),
             }.get(p.name, (0.0, None, ""))
-            if configured and not 1.0 / OTHER < value / configured < OTHER:
+            if configured and of_another(value, configured):
                 unit = "kg" if p.name == "dM" else p.unit
                 found.append(f"{name}: {words} of {quantity(value, unit, 3)} where the config has "
                              f"{quantity(configured, unit, 3)}: check whether it is this machine")
@@ -176,10 +176,10 @@ def _in_words(moved: Moved, settings: Settings, oils: tuple[Stiffness, Stiffness
     """
     rig, c = settings.rig, moved.candidate
     held = settings.effects.get(c.effect, {}).get(c.symbol, 0.0)
-    if c.name == "L":  # half of the config's acts like it
-        held += 0.5 * rig.leakage
+    if c.name == "L":  # as it is, not what is beyond the config's
+        held += c.configured
     pair = (moved.machine + held, moved.spread), (moved.here + held, moved.stddev)
-    if c.sign > 0 or c.name == "L":  # what cannot be negative and is so by chance is nil
+    if c.sign > 0:  # what cannot be negative and is so by chance is nil
         pair = tuple((max(value, 0.0) if POLICY.varied * stddev > -value else value, stddev)
                      for value, stddev in pair)
     known = [one.modulus for one in oils]
@@ -234,8 +234,7 @@ def _with_oil(machine: Machine, judged: Judged, stiffness: Stiffness, rig: Rig) 
     A balance that leaves more than any healthy recording has to leave less with it.
     """
     flow = next((one for one in judged.balances if one.balance == "flow"), None)
-    of = {} if flow is None else {c.name: c for c in flow.table.candidates}
-    if "C_h" not in of or not rig.volume_1:
+    if flow is None or "C_h" not in flow.table.places or not rig.volume_1:
         return judged
     before = flow.now.get("C_h", 0.0)
     here = before + rig.volume_1 * (stiffness.value - machine.stiffness.value)
@@ -367,14 +366,14 @@ def _advice(machine: Machine, courses: Sequence[Course], references: tuple[str, 
 BOTH = ("B", "L")
 
 
-def beside_viscosity(machine: Machine, judged: Judged, rig: Rig, viscosity: float) -> Judged:
+def beside_viscosity(machine: Machine, judged: Judged, viscosity: float) -> Judged:
     """Return a recording with B or L as changed too, where one has moved beside the other.
 
     Parameters
     ----------
     viscosity : of the recording's oil, as :attr:`Machine.viscosity`; NaN where not measured.
     """
-    moved = _at_temperature(machine, judged, viscosity) or _moved(machine, judged, rig)
+    moved = _at_temperature(machine, judged, viscosity) or _beside_the_other(machine, judged)
     return judged if moved is None else replace(judged, balances=tuple(
         one.with_change(moved) if one.balance == moved.candidate.balance else one
         for one in judged.balances))
@@ -386,8 +385,7 @@ def _at_temperature(machine: Machine, judged: Judged, viscosity: float) -> Moved
     Where every recording measures the temperature the viscosity is known, and B over it is
     compared; unless the law of viscosity makes the references more unlike than they are.
     """
-    rows = [(np.array(one.each)[:, j], np.array(one.each_stddev)[:, j])
-            for one in machine.balances for j, p in enumerate(one.parameters) if p.name == "B"]
+    rows = _of_references(machine, "B")
     if (machine.pieces or not machine.viscosity or not np.isfinite(viscosity) or len(rows) != 1
             or len(rows[0][0]) < 2 or not (rows[0][0] > 0.0).all()
             or not judged.values.get("B", (0.0,))[0] > 0.0
@@ -399,62 +397,83 @@ def _at_temperature(machine: Machine, judged: Judged, viscosity: float) -> Moved
     if spread > np.log(each).std(ddof=1):
         return None
     healthy = float(np.exp(logs.mean())) * viscosity
-    off, limit = float(np.log(value / healthy)), limit_of(runs, 1.0, machine.policy.false)
-    t = off / np.sqrt(spread**2 * (1.0 + 1.0 / runs) + max((chance / value)**2 - noise**2, 0.0))
+    off = float(np.log(value / healthy))
+    t, limit = _t_of_next(off, spread, runs, (chance / value, noise), machine.policy)
     if not abs(t) > limit or not abs(np.expm1(off)) > machine.policy.near:
         return None
-    of = {c.name: c for one in judged.balances for c in one.table.candidates}
-    return Moved(of["B"], value, total, healthy, healthy * float(np.hypot(spread, noise)),
-                 float(t), limit, apart=healthy * abs(float(np.expm1(off) / t)),
+    return Moved(judged.of["B"], value, total, healthy, healthy * float(np.hypot(spread, noise)),
+                 t, limit, apart=healthy * abs(float(np.expm1(off) / t)),
                  given=" at the temperature of its oil")
 
 
-def _moved(machine: Machine, judged: Judged, rig: Rig) -> Moved | None:
+def _beside_the_other(machine: Machine, judged: Judged) -> Moved | None:
     """Return B or L where it has changed beside the other; None where nothing says so.
 
     Nor is it said beside what moves either by itself: another leak, or a sensor of pressure.
     """
-    policy, found = machine.policy, _references(machine, rig)
-    if found is None or any(name not in judged.values for name in BOTH) or any(
+    policy, of = machine.policy, judged.of
+    if any(name not in judged.values for name in BOTH) or any(
             moved.candidate.name in BOTH or moved.candidate.family == "gap"
             or set(FORCE_OF_SENSORS) & set(moved.rivals) for moved in judged.changed):
         return None
-    logs, noise = found
-    more = np.array([0.0, 0.5 * rig.leakage])
+    more = np.array([of["L"].configured if name == "L" else 0.0 for name in BOTH])
+    found = _steady_sum(machine, more)
     value, total, chance = (np.array(row) for row in zip(
         *(judged.values[name] for name in BOTH), strict=True))
-    if not (value + more > 0.0).all():
+    if found is None or not (value + more > 0.0).all():
         return None
+    logs, noise = found
     here, own = np.log(value + more), float(np.linalg.norm(chance / (value + more)))
     means, spreads, runs = logs.mean(axis=0), logs.std(axis=0, ddof=1), len(logs)
     spread = float(logs.sum(axis=1).std(ddof=1))
-    off, limit = float((here - means).sum()), limit_of(runs, 1.0, policy.false)
-    t = off / np.sqrt(spread**2 * (1.0 + 1.0 / runs) + max(own**2 - noise**2, 0.0))
+    off = float((here - means).sum())
+    t, limit = _t_of_next(off, spread, runs, (own, noise), policy)
     if not abs(t) > limit or not abs(np.expm1(off)) > policy.near:
         return None
     # If B has changed the oil is as L shows it, and the other way round.
     warm = np.abs(here - means)[::-1] / spreads
     i = int(np.argmin(warm))
     healthy = float(np.exp(means.sum() - here[1 - i]))
-    of = {c.name: c for one in judged.balances for c in one.table.candidates}
     rivals = (of[BOTH[1 - i]].effect,) if warm[1 - i] < policy.varied else ()
     rivals += FORCE_OF_SENSORS[:1] if BOTH[i] == "L" else ()  # its zero makes a leak where none is
     return Moved(of[BOTH[i]], float(value[i]), float(total[i]), healthy - float(more[i]),
-                 healthy * float(np.hypot(spread, noise)), float(t), limit, rivals=rivals,
+                 healthy * float(np.hypot(spread, noise)), t, limit, rivals=rivals,
                  apart=healthy * abs(float(np.expm1(off) / t)),
                  given=f" with the oil that the {('leakage', 'damping')[i]} shows")
 
 
-def _references(machine: Machine, rig: Rig) -> tuple[np.ndarray, float] | None:
+def _of_references(machine: Machine, name: str) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Return a parameter in each reference and its deviations, (r,) each, of each balance."""
+    return [(np.array(one.each)[:, j], np.array(one.each_stddev)[:, j])
+            for one in machine.balances for j, p in enumerate(one.parameters) if p.name == name]
+
+
+def _t_of_next(off: float, spread: float, runs: int, noise: tuple[float, float], policy: Policy
+               ) -> tuple[float, float]:
+    """Return Student's t of one further logarithm beside those of the references, and its limit.
+
+    Parameters
+    ----------
+    off : from their mean; ``spread`` between them, of ``runs``.
+    noise : by chance, of this recording and of a usual reference, whose is in the spread.
+    """
+    own, usual = noise
+    t = off / np.sqrt(spread**2 * (1.0 + 1.0 / runs) + max(own**2 - usual**2, 0.0))
+    return float(t), limit_of(runs, 1.0, policy.false)
+
+
+def _steady_sum(machine: Machine, more: np.ndarray) -> tuple[np.ndarray, float] | None:
     """Return ln B and ln L of each reference, (r, 2), and the usual deviation of their sum.
 
     None where the sum is not surely steadier than both, by Student's t of Pitman (1939) and Morgan
     (1939) for two variances of the same recordings; or where these are parts of one, of one oil.
+
+    Parameters
+    ----------
+    more : what the config has of both beside, (2,).
     """
-    rows = [(np.array(one.each)[:, j] + (p.name == "L") * 0.5 * rig.leakage,
-             np.array(one.each_stddev)[:, j])
-            for name in BOTH for one in machine.balances
-            for j, p in enumerate(one.parameters) if p.name == name]
+    rows = [(value + held, deviation) for name, held in zip(BOTH, more, strict=True)
+            for value, deviation in _of_references(machine, name)]
     if machine.pieces or len(rows) < 2 or any((value <= 0.0).any() for value, _ in rows):
         return None
     logs = np.log(np.transpose([value for value, _ in rows]))

@@ -17,7 +17,7 @@ from eha_monitor.errors import InputError
 from eha_monitor.estimation.modelled import contributions_along
 from eha_monitor.estimation.rig_model import added_by, force_missing, force_of
 from eha_monitor.estimation.sensors import noise_levels, quantum, without_spikes
-from eha_monitor.indicators.laws import viscosity_ratio
+from eha_monitor.indicators.laws import viscosity_factor
 from eha_monitor.physics import signals as s
 from eha_monitor.physics.contributions import circuit_of, new_memory
 from eha_monitor.physics.parameters import theta_of
@@ -306,10 +306,8 @@ def _viscosity(recording: Recording, settings: Settings) -> float:
     """Return the oil's viscosity over that at the reference temperature; NaN if not measured."""
     if not recording.has("temperature"):
         return np.nan
-    law = settings.viscosity
-    return 1.0 / viscosity_ratio(
-        float(np.nanmean(recording.channels["temperature"])), law.reference_temperature,
-        law.coefficient, law.grade, law.at_100)
+    return 1.0 / viscosity_factor(
+        settings.viscosity, float(np.nanmean(recording.channels["temperature"])))
 
 
 def _gaps(missing: np.ndarray, short: int) -> np.ndarray:

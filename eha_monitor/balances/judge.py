@@ -117,6 +117,11 @@ class Judged:
     values: dict[str, tuple[float, float, float]] = field(default_factory=dict)
 
     @property
+    def of(self) -> dict[str, Candidate]:
+        """Candidates of all balances by name."""
+        return {c.name: c for one in self.balances for c in one.table.candidates}
+
+    @property
     def changed(self) -> tuple[Moved, ...]:
         """Parameters beyond what the machine's own recordings do, what explains most first."""
         return tuple(sorted((moved for one in self.balances for moved in one.changed),

@@ -486,6 +486,16 @@ def save(machine: Machine, path: Path) -> None:
     write_json(path, machine.to_dict())
 
 
+def of_another(value: float, expected: float) -> bool:
+    """Tell whether a mass or a displacement is so far from the expected one that it is another's.
+
+    Parameters
+    ----------
+    value, expected : SI; the latter positive.
+    """
+    return not 1.0 / OTHER < value / expected < OTHER
+
+
 def load(path: Path, rig: Rig) -> Machine:
     """Read a machine that :func:`save` wrote, to be compared on a rig.
 
@@ -514,7 +524,7 @@ def load(path: Path, rig: Rig) -> Machine:
     for words, unit, there, here in (
             ("mass", "kg", machine.mass, rig.mass),
             ("pump displacement", "m³/rad", machine.displacement, rig.pump_displacement)):
-        if there and here and abs(np.log(here / there)) >= np.log(OTHER):
+        if there and here and of_another(here, there):
             raise InputError(f"{path}: a machine made with a {words} of {quantity(there, unit, 3)}"
                              f", expected that of the config, {quantity(here, unit, 3)}")
     return machine

@@ -262,7 +262,7 @@ def _at_reference(found: "Estimate") -> dict:
     """Return the temperature, and B carried to the reference one as the alarms do it."""
     import numpy as np
 
-    from eha_monitor.health.alarms import viscosity_factor
+    from eha_monitor.indicators.laws import viscosity_factor
 
     warmth = found.recording.get("temperature")
     warmth, damping = warmth[np.isfinite(warmth)], found.parameters["B"]

@@ -30,10 +30,10 @@ from eha_monitor.health.judge import (
     Rebase,
     Watched,
 )
-from eha_monitor.indicators.laws import viscosity_ratio
+from eha_monitor.indicators.laws import viscosity_factor
 from eha_monitor.quantity import quantity, share, with_uncertainty
 from eha_monitor.recordings.columns import blocks, chosen
-from eha_monitor.settings.monitor import Settings, Viscosity
+from eha_monitor.settings.monitor import Settings
 
 __all__ = [
     "ALARM_NAMES",
@@ -45,7 +45,6 @@ __all__ = [
     "AlarmBoard",
     "Level",
     "Watched",
-    "viscosity_factor",
 ]
 ADVICE = "run `eha-monitor diagnose` on a recording to identify the cause"
 
@@ -276,12 +275,6 @@ class AlarmBoard:
         if judge.sign * (value - limit) > 0:
             return f"is {bad} {said}, within its uncertainty"
         return f"is {good} {said}"
-
-
-def viscosity_factor(viscosity: Viscosity, temperature: float) -> float:
-    """Return B at the reference temperature over B at ``temperature`` (°C)."""
-    return viscosity_ratio(temperature, viscosity.reference_temperature, viscosity.coefficient,
-                           viscosity.grade, viscosity.at_100)
 
 
 # Judgements per second, as live; health changes over seconds, and hold times are tenths of one.

@@ -14,7 +14,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from eha_monitor.health.alarms import JUDGE_RATE, ParameterSeries, viscosity_factor
+from eha_monitor.health.alarms import JUDGE_RATE, ParameterSeries
+from eha_monitor.indicators.laws import viscosity_factor
 from eha_monitor.settings.monitor import LIMITS, Settings, Thresholds
 
 UNLIKE = 0.01  # chance, over all recordings, at which one counts as unlike the others

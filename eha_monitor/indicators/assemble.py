@@ -9,7 +9,7 @@ import numpy as np
 from eha_monitor.estimation.results import Estimate
 from eha_monitor.indicators import indicator, laws
 from eha_monitor.indicators.indicator import Indicator
-from eha_monitor.indicators.laws import LEAKS, viscosity_ratio
+from eha_monitor.indicators.laws import LEAKS, viscosity_factor
 from eha_monitor.mismatch.diagnosis import Diagnosis
 from eha_monitor.quantity import number, quantity
 from eha_monitor.recordings.recording import Recording
@@ -449,9 +449,7 @@ def _thinner(values: Values, settings: Settings) -> float:
     """Return the viscosity at the recording's temperature over that at the reference."""
     if "temperature" not in values:
         return 1.0
-    law = settings.viscosity
-    return 1.0 / viscosity_ratio(values["temperature"], law.reference_temperature,
-                                 law.coefficient, law.grade, law.at_100)
+    return 1.0 / viscosity_factor(settings.viscosity, values["temperature"])
 
 
 def _temperature_words(found: Evidence, settings: Settings) -> str:

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from eha_monitor.physics.effects.oil import P_ATM, compliance
+from eha_monitor.settings.monitor import Viscosity
 
 KELVIN = 273.15
 EXPANSION = 7e-4  # 1/K, of mineral oil; MIL-H-5606 has 8.3e-4 (docs/health.md)
@@ -48,6 +49,12 @@ def viscosity_ratio(temperature: float, reference: float, coefficient: float,
     there, here = (min(max(one, cold), hot) for one in (reference, temperature))
     density = (1.0 - EXPANSION * (there - 40.0)) / (1.0 - EXPANSION * (here - 40.0))
     return density * walther(at_40, at_100, there) / walther(at_40, at_100, here)
+
+
+def viscosity_factor(viscosity: Viscosity, temperature: float) -> float:
+    """Return B at the reference temperature over B at ``temperature`` (°C)."""
+    return viscosity_ratio(temperature, viscosity.reference_temperature, viscosity.coefficient,
+                           viscosity.grade, viscosity.at_100)
 
 
 _UNIT_AIR = getattr(compliance, "py_func", compliance)
