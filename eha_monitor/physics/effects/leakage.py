@@ -55,7 +55,7 @@ TURBULENT_LEAKAGE = Effect(
     source="orifice equation, Merritt 1967, Eq. 3-33; laminar near zero as Ellman, Piche 1999",
     parameters=(
         Parameter("c", "m^3/(s*Pa^0.5)", "leakage flow over the root of the pressure difference",
-                  -1e-3, 1e-3, 1e-9),
+                  0.0, 1e-3, 1e-9),
         Parameter("dp_0", "Pa", "pressure difference below which it is laminar", 1.0, 1e7, 1e4,
                   1e4),
     ),
@@ -87,10 +87,10 @@ LEAKAGE_OFFSET = Effect(
     balance="flow",
     equation="Q = Q_0 tanh(dp / dp_e),  dp = p1 - p2",
     source="step of flow with the sign of dp: a check valve's pilot or flushing flow, "
-    "a pressure-compensated path; negative Q_0: a leak that opens only above a preload",
+    "a pressure-compensated path",
     parameters=(
         Parameter("Q_0", "m^3/s", "leakage flow, independent of the pressure "
-                                  "difference", -1e-2, 1e-2, 1e-7),
+                                  "difference", 0.0, 1e-2, 1e-7),
         Parameter("dp_e", "Pa", "pressure difference over which the sign is smoothed", 10.0, 1e7,
                   1e4, 1e4),
     ),
