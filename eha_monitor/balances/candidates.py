@@ -418,7 +418,7 @@ def flow_candidates(scale: Scale, rig: Rig) -> tuple[Candidate, ...]:
         one("k_l", "pump_volumetric_loss", "1/Pa", "flow of the pump lost per pressure", 1,
             lambda c, r: None if not pump else -pump * np.abs(c.omega) * _pump_difference(c, r),
             family="gap", symbol="k", shape=(("motoring", 1.0),), power=1.0),
-        one("Q_0", "leakage_offset", "m³/s", "leakage whatever the pressure", 0,
+        one("Q_0", "leakage_offset", "m³/s", "leakage whatever the pressure", 1,
             crossing(lambda dp: np.tanh(dp / LAMINAR)), family="gap", symbol="Q_0",
             shape=(("dp_e", LAMINAR),)),
         one("omega_0", "pump_dead_zone", "rad/s", "speed lost to a dead zone of the pump", 1,

@@ -107,7 +107,8 @@ def validated_term(experiment: Experiment, unseen: Experiment, naming: Naming
     least = learned.evidence - policy.law * max(learned.gained, 0.0)
     fit, honest = learned.fit, bool(formulas) and formulas[0].evidence > least
     if honest:
-        fit = robust(experiment, formulas[0].fit)
+        # A formula may be all that a name and the rest of a table were together.
+        fit = robust(experiment, alone(experiment, formulas[0].fit))
         signals = shown(unseen, naming.before, fit)
         share = removed(shown(unseen, learned.without, fit))
     missing = missing_of(experiment, fit, learned.which, learned.balance)
