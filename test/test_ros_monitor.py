@@ -1,5 +1,6 @@
 """The monitor's node in this process, fed over DDS on loopback."""
 
+import itertools
 import math
 import time
 
@@ -69,20 +70,21 @@ def test_an_alarm_is_published_when_it_is_raised(graph):
 
 
 def test_data_that_stop_make_everything_stale_in_time(graph):
-    monitor, estimator, sender = start(graph, {"monitor": {"stale_after": 0.4}})
+    monitor, _, sender = start(graph, {"monitor": {"stale_after": 0.4}})
     health = listen(graph, DiagnosticArray, "/eha/monitor/health", LATCHED)
     graph.until(lambda: health)
     assert "no data yet" in health[0].status[0].message
-    sender.send(0, 300)
-    graph.until(lambda: len(estimator.rows) == 300)
-    graph.until(lambda: levels(health[-1])["eha: data"] == DiagnosticStatus.OK)
-    stopped = monitor._row_came
+    # A busy machine may tell of the data only once they are old: they go on until it has told.
+    more = itertools.count(0, 50)
+    graph.until(lambda: levels(health[-1])["eha: data"] == DiagnosticStatus.OK
+                or sender.send(next(more), 50))
     graph.until(lambda: levels(health[-1])["eha: data"] == DiagnosticStatus.STALE)
-    assert time.monotonic() - stopped < 0.4 + 0.5
+    # The monitor's own absence is not the data's: it moves the time of the last row.
+    assert time.monotonic() - monitor._row_came < 0.4 + 0.5
     assert levels(health[-1])["eha: viscous_damping_high"] == DiagnosticStatus.STALE
     assert "data stopped: nothing on /eha/joint_states" in health[-1].status[0].message
-    sender.send(300, 200)
-    graph.until(lambda: levels(health[-1])["eha: viscous_damping_high"] == DiagnosticStatus.OK)
+    graph.until(lambda: levels(health[-1])["eha: viscous_damping_high"] == DiagnosticStatus.OK
+                or sender.send(next(more), 50))
 
 
 def test_joints_may_come_in_any_order(graph):

@@ -120,7 +120,8 @@ class Replay:
 
     def _wait_for_subscribers(self) -> None:
         """Give discovery its time, then leave out what another node publishes."""
-        matched, end = 0, time.monotonic() + DISCOVERY
+        matched, began = 0, time.monotonic()
+        end = began + DISCOVERY
         while running.ok() and (left := end - time.monotonic()) > 0:
             self._executor.spin_once(timeout_sec=min(left, 0.05))
             now = sum(p.get_subscription_count() > 0 for p in self._publishers.values())
@@ -128,7 +129,8 @@ class Replay:
                 break
             if now > matched:  # discovery is under way: give the others their time too
                 matched, end = now, time.monotonic() + DISCOVERY
-        end = time.monotonic() + SETTLE
+        # Where this took long, the machine is busy and the subscriber's match takes long as well.
+        end = time.monotonic() + min(max(SETTLE, time.monotonic() - began), DISCOVERY)
         while running.ok() and (left := end - time.monotonic()) > 0:
             self._executor.spin_once(timeout_sec=left)
         for name in list(self._publishers):
