@@ -324,3 +324,24 @@ def test_robust_deviation_grows_where_the_model_is_wrong():
     assert np.array_equal(safe.theta, fit.theta)
     assert np.linalg.eigvalsh(safe.covariance / np.sqrt(np.outer(
         np.diag(safe.covariance), np.diag(safe.covariance)))).min() > 0
+
+
+def test_a_force_that_is_told_late_is_read_as_much_later(run):
+    """p_s(k) = p(k - 3): with T = 3 dt the filter meets the force that it met before."""
+    whole = without(run.recording(1), "omega", "x_d")
+    late = with_channels(whole, p1=np.roll(whole.channels["p1"], 3),
+                         p2=np.roll(whole.channels["p2"], 3))
+
+    def errors(recording, **effects):
+        experiment = experiment_of([recording], settings(effects=effects))
+        theta, active = experiment.theta, experiment.active
+        gains = gains_of(experiment, experiment_of([whole], settings()).theta, active,
+                         smallest_unknowns(experiment))
+        return innovations(experiment, theta, active, gains)[200:-50, 0]
+
+    before, lagging = errors(whole), errors(late)
+    assert (lagging - before).std() > 0.5 * before.std()
+    found = errors(late, pressure_delay={"T": 3 * DT})
+    np.testing.assert_allclose(found, before, atol=1e-3 * before.std())
+    both = errors(whole, pressure_delay={"T": 2.4 * DT}, position_delay={"T": 2.4 * DT})
+    np.testing.assert_allclose(both, before, atol=1e-9 * before.std())

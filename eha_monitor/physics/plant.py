@@ -119,6 +119,16 @@ def piece_at(u, i, f):
 
 
 @njit(forceinline=True)
+def piece_of(k, f, late, n):
+    """Return piece and place in it, 0 to 1, ``late`` samples after ``f`` of piece ``k``."""
+    if late == 0.0:
+        return k, f
+    at = min(max(k + f + late, 0.0), float(n))
+    j = min(math.floor(at), n - 1)
+    return j, at - j
+
+
+@njit(forceinline=True)
 def delayed_position(past, last, step, delay, offset, x, v, acceleration):
     """Return x ``delay`` seconds before the time ``offset`` steps after entry ``last``, m.
 
@@ -349,27 +359,30 @@ def advance_forced(actuator, t, k, u, pressures, step, equations):
     """
     y, memory, _, _ = actuator
     (p1, p2), (dt, steps) = pressures, step
-    theta, terms, updates, _, c, s = equations
+    theta, terms, updates, w, c, s = equations
     h = dt / steps
     any_active, any_memory = len(terms) > 0, len(updates) > 0
     x, v = y[Y_X], y[Y_V]
-    after = min(k + 1, p1.shape[0] - 1)
+    # What measures the force is late, or the position is: only the difference shows.
+    late = (w[of.PRESSURE_DELAY] - w[of.POSITION_DELAY]) / dt
     for i in range(steps):
         sum_v = sum_a = a = 0.0
         xs, vs = x, v
         for stage in range(4):
             offset = 0.0 if stage == 0 else (1.0 if stage == 3 else 0.5)
             if stage > 0:
-                g = offset * h
-                xs, vs = x + g * vs, v + g * a
+                since = offset * h
+                xs, vs = x + since * vs, v + since * a
             f = (i + offset) / steps
+            j, g = piece_of(k, f, late, u.shape[0])
             if any_active:
+                after = min(j + 1, p1.shape[0] - 1)
                 s[of.T], s[of.X], s[of.V] = t + f * dt, xs, vs
-                s[of.P1] = (1.0 - f) * p1[k] + f * p1[after]
-                s[of.P2] = (1.0 - f) * p2[k] + f * p2[after]
+                s[of.P1] = (1.0 - g) * p1[j] + g * p1[after]
+                s[of.P2] = (1.0 - g) * p2[j] + g * p2[after]
                 effects.add_contributions(s, theta, terms, memory, c)
             c[of.FORCE] += y[Y_FORCE]
-            a = acceleration(piece_at(u, k, f), vs, theta, c)
+            a = acceleration(piece_at(u, j, g), vs, theta, c)
             c[of.FORCE] -= y[Y_FORCE]
             weight = 1.0 if stage == 0 or stage == 3 else 2.0
             sum_v += weight * vs

@@ -58,8 +58,11 @@ def timing_free(experiment: Experiment) -> tuple[Free, ...]:
     sample is beyond doubt, and is nobody's fault.  What is larger must be named.
     """
     limit = experiment.policy.timing * experiment.dt
-    found = []
-    for name in ("command_delay", "position_delay", "pressure_delay"):
+    found, names = [], ("command_delay", "position_delay", "pressure_delay")
+    if experiment.mode == FORCED:  # only the difference of the two shows
+        named = experiment.active[NAMES.index("pressure_delay")]
+        names = () if named else ("position_delay",)
+    for name in names:
         if possible(name, experiment) and not experiment.active[NAMES.index(name)]:
             # A pump speed that is read late looks like a late command and an early position.
             lower = -limit if name == "position_delay" else 0.0
@@ -136,8 +139,8 @@ def possible(name: str, experiment: Experiment) -> bool:
         return False  # at a pressure that nobody knows it is Coulomb friction
     if effect.balance == "force":
         return name != "backlash" or experiment.mode == CLOSED
-    if experiment.mode == FORCED:
-        return False
+    if experiment.mode == FORCED:  # what measures the force may be late; its size is the force
+        return name == "position_delay" or (name == "pressure_delay" and experiment.by_pressures)
     if experiment.wanted_speed and name in LOOP_ONLY:
         return False
     pressures = experiment.used[2] or experiment.used[3]
