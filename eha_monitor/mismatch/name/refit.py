@@ -110,16 +110,18 @@ def settled(experiment: Experiment, fit: Fit, slopes: Slopes | None = None, roun
             tolerance: float = 0.3, worth: float = -np.inf) -> Fit:
     """Fit parameters and unknowns in turn until neither gains.
 
-    A fit that is below ``worth`` log units after a round is not carried further.
+    A fit that is further below ``worth`` log units after a round than that round gained is not
+    carried further: the next one gains less.
     """
     slopes, known = slopes or Slopes(experiment), None
     for _ in range(rounds):
+        before = fit.log_likelihood
         made, known = polished_on(experiment, fit, slopes.of(fit) if known is None else known,
                                   ROUGH_STEPS, ROUGHLY)
         if not np.isfinite(made.log_likelihood):
             return made
         fit = at_level(experiment, made)
-        if fit.log_likelihood < worth:
+        if worth - fit.log_likelihood > fit.log_likelihood - before:
             return fit
         if fit is made:
             break
