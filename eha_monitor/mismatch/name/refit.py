@@ -35,6 +35,7 @@ from eha_monitor.mismatch.name.starts import (
     timing_free,
 )
 from eha_monitor.mismatch.policy import SearchPolicy
+from eha_monitor.physics.contributions import with_update
 from eha_monitor.physics.effects import CATALOGUE, NAMES
 from eha_monitor.physics.parameters import BASE_KEYS, effect_values, place_of
 
@@ -101,8 +102,14 @@ def at_level(experiment: Experiment, fit: Fit, limits: tuple[Unknowns, Unknowns]
             break
         other = with_unknowns(experiment, fit, Unknowns(*best))
         if other.log_likelihood > fit.log_likelihood:
-            return other
+            fit = other
+            break
         best = np.sqrt(best * now)  # what is not linear there shows at the smaller unknowns
+    if limits is None and len(with_update(fit.active, fit.theta)) and not np.allclose(
+            fit.unknowns.as_array(), small, rtol=1e-9):
+        # The map knows no memory (a line that rings): whether nothing is unknown says a run.
+        least = with_unknowns(experiment, fit, Unknowns(*small))
+        return ties.best((fit, least), lambda one: one.log_likelihood, within=ties.SAME_FIT)
     return fit
 
 
