@@ -119,14 +119,14 @@ def line_dynamics_update(s, p, h, m):
 
 
 def line_dynamics_starts(r) -> tuple[dict[str, float], ...]:
-    """Return lines of four lengths, in each of which the oil flows at 5 m/s, or at 0.5 m/s.
+    """Return lines of three lengths, in each of which the oil flows at 5 m/s, or at 0.5 m/s.
 
     Those are the speeds for which lines are laid out.  In a line of cross-section a, with rho c
     of 7e5 Pa*s/m, Z is about 2 D_p rho c/a, which is 7e6 Pa over the shaft speed that fills it.
     """
     impedance = 7e6 / max(r.pump_speed[3], 1e-3)
     return tuple({"T_l": share * r.sample_time, "zeta": 0.1, "Z": weight * impedance}
-                 for share in (0.5, 1.0, 2.0, 4.0) for weight in (0.1, 1.0))
+                 for share in (1.0, 2.0, 4.0) for weight in (0.1, 1.0))
 
 
 LINE_DYNAMICS = Effect(
