@@ -140,7 +140,7 @@ def _line(c: Context) -> Hidden:
         plant={"line_inertance": inertance, "line_resistance": resistance, "line_volume": volume},
         parameters={"I": inertance, "R": resistance, "volume": volume,
                     "T_l": 1.0 / natural, "zeta": 0.5 * resistance / inertance / natural,
-                    "Z": c.rig["pump_displacement"] * inertance * natural})
+                    "Z": c.rig["displacement"] * inertance * natural})
 
 
 def _drive_gain(c: Context) -> Hidden:
