@@ -7,6 +7,7 @@ import pytest
 from machine_tools import healthy_machine, stranger, stranger_settings
 from mismatch_tools import recorded
 
+from eha_monitor.balances.alone import alone
 from eha_monitor.balances.answer import Asked, answered
 from eha_monitor.balances.baseline import baseline
 from eha_monitor.balances.candidates import Scale, candidates_of
@@ -134,6 +135,19 @@ def test_pooled_tables_have_one_load_for_each(settings):
     left = whole.mixture(whole.gram, ["B", "F_c", "F_0 1", "F_0 2"])
     assert -left[whole.places["F_0 1"]] == pytest.approx(100.0, abs=5.0)
     assert -left[whole.places["F_0 2"]] == pytest.approx(500.0, abs=5.0)
+
+
+def test_what_is_always_there_is_as_sure_as_its_own_size(settings):
+    """No half says whether it is there: leakage beyond the config's was told with 2 %."""
+    course = course_of(stranger(0, **CALM), settings)
+    (table,) = tables_of([course], settings.rig, "force", candidates_of(
+        "force", Scale.of([course]), settings.rig), POLICY)
+    found = [name for name in alone(table, POLICY).names
+             if next(c for c in table.candidates if c.name == name.term).always]
+    assert {name.term for name in found} == {"B", "F_0"}
+    for name in found:
+        apart = abs(name.value) / name.stddev
+        assert (name.probability > 0.9) == (apart > POLICY.varied + 2.0), name
 
 
 def test_nothing_is_said_of_a_recording_at_rest(settings):

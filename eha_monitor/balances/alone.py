@@ -133,8 +133,11 @@ class _Choice:
             one = self.of[name]
             frequency = often.get(one.kind, 0.0) if not one.always else 1.0
             rest = [other for other in kept if other != name]
-            apart = from_absent(values, covariance, [
-                self.of[other].kind == one.kind and not self.of[other].always for other in kept])
+            # Of what is always there (leakage beyond the config's) no half says whether it is:
+            # its own value does.
+            apart = abs(value) / total if one.always and total > 0.0 else from_absent(
+                values, covariance, [self.of[other].kind == one.kind
+                                     and not self.of[other].always for other in kept])
             gained = (table.effective * float(np.log(self.unseen(rest) / error))
                       if not one.always else 0.0)
             found.append(Name(
