@@ -131,15 +131,16 @@ class _Choice:
             policy))
         for name, value, total in zip(kept, values, stddev.tolist(), strict=True):
             one = self.of[name]
-            frequency = often.get(one.kind, 0.0) if not one.always else 1.0
-            rest = [other for other in kept if other != name]
-            # Of what is always there (leakage beyond the config's) no half says whether it is:
-            # its own value does.
-            apart = abs(value) / total if one.always and total > 0.0 else from_absent(
-                values, covariance, [self.of[other].kind == one.kind
-                                     and not self.of[other].always for other in kept])
-            gained = (table.effective * float(np.log(self.unseen(rest) / error))
-                      if not one.always else 0.0)
+            if one.always:  # no half says whether it is there: its own value does
+                frequency, gained = 1.0, 0.0
+                apart = abs(value) / total if total > 0.0 else 0.0
+            else:
+                frequency = often.get(one.kind, 0.0)
+                apart = from_absent(values, covariance, [
+                    self.of[other].kind == one.kind and not self.of[other].always
+                    for other in kept])
+                rest = [other for other in kept if other != name]
+                gained = table.effective * float(np.log(self.unseen(rest) / error))
             found.append(Name(
                 name, one.effect, value, total, frequency,
                 policy.probability(frequency, apart),

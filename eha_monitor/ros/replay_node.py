@@ -120,17 +120,18 @@ class Replay:
 
     def _wait_for_subscribers(self) -> None:
         """Give discovery its time, then leave out what another node publishes."""
-        matched, began = 0, time.monotonic()
+        matched, took, began = 0, 0.0, time.monotonic()
         end = began + DISCOVERY
         while running.ok() and (left := end - time.monotonic()) > 0:
             self._executor.spin_once(timeout_sec=min(left, 0.05))
             now = sum(p.get_subscription_count() > 0 for p in self._publishers.values())
+            if now > matched:  # discovery is under way: give the others their time too
+                matched, took = now, time.monotonic() - began
+                end = began + took + DISCOVERY
             if now == len(self._publishers):
                 break
-            if now > matched:  # discovery is under way: give the others their time too
-                matched, end = now, time.monotonic() + DISCOVERY
-        # Where this took long, the machine is busy and the subscriber's match takes long as well.
-        end = time.monotonic() + min(max(SETTLE, time.monotonic() - began), DISCOVERY)
+        # Where a match took long, the machine is busy and the subscriber's takes long as well.
+        end = time.monotonic() + min(max(SETTLE, took), DISCOVERY)
         while running.ok() and (left := end - time.monotonic()) > 0:
             self._executor.spin_once(timeout_sec=left)
         for name in list(self._publishers):
