@@ -22,7 +22,7 @@ def groups() -> dict[str, list[str]]:
     call = next(node for node in ast.walk(ast.parse((ROOT / "setup.py").read_text()))
                 if isinstance(node, ast.Call) and getattr(node.func, "id", "") == "setup")
     given = {word.arg: word.value for word in call.keywords}
-    asked = {"builds": ["setuptools"], "compiles": ["numba", "pydantic", "scipy"],
+    asked = {"builds": ["setuptools"], "compiles": ["lz4", "mcap", "numba", "pydantic", "scipy"],
              "core": ast.literal_eval(given["install_requires"]),
              **ast.literal_eval(given["extras_require"])}
     return {group: [re.match(NAME, one)[0].replace(".", "-") for one in packages]
