@@ -55,7 +55,6 @@ class Graph:
 
     def __init__(self):
         import rclpy
-        import rclpy.node
         from rclpy.experimental import EventsExecutor
 
         rclpy.init()
@@ -65,7 +64,9 @@ class Graph:
 
     def node(self, name, namespace="", parameters=(), **options):
         """Make a node as the commands make theirs."""
-        made = self._rclpy.node.Node(
+        from eha_monitor.ros.without_events import QuietNode
+
+        made = QuietNode(
             name, namespace=namespace, parameter_overrides=list(parameters), **options,
             automatically_declare_parameters_from_overrides=True)
         self.executor.add_node(made)

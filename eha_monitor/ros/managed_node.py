@@ -14,6 +14,7 @@ from eha_monitor.errors import InputError
 from eha_monitor.ros import running
 from eha_monitor.ros.monitor_node import Monitor
 from eha_monitor.ros.parameters import MONITOR_KEYS, declare, settings_of_node
+from eha_monitor.ros.without_events import WithoutEvents
 from eha_monitor.settings import Settings
 
 # Past the first second, when stage two is run and the model is tested.
@@ -22,7 +23,7 @@ WARM_UP_ROWS = 3000
 SWITCH_S = 0.0005
 
 
-class ManagedMonitor(LifecycleNode):
+class ManagedMonitor(WithoutEvents, LifecycleNode):
     """A monitor in the states of a managed node.
 
     Unconfigured there is nothing but the parameters.  Configured, so inactive, there are

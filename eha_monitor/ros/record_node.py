@@ -5,7 +5,6 @@ import time
 from pathlib import Path
 
 from rclpy.clock import Clock, ClockType
-from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 
@@ -16,10 +15,6 @@ from eha_monitor.ros import running
 from eha_monitor.ros.messages import ESTIMATES
 from eha_monitor.ros.topics import check_topic, message_class, profile
 from eha_monitor.settings import Settings
-
-# Nothing but messages: rmw_fastrtps 8.4 waits for itself forever where an EventsExecutor takes the
-# event of a lost message while the next one is lost (its pull request 890), as on a busy machine.
-NO_EVENTS = SubscriptionEventCallbacks(use_default_callbacks=False)
 
 # Looking for publishers; rosbag2 does the same.
 POLL_PERIOD = 0.1
@@ -83,8 +78,7 @@ class Recorder:
             write(topic, now(), data)
 
         self._node.create_subscription(
-            kind, topic, on_message, raw=True, qos_profile=profile(DEPTH, reliable, latched),
-            event_callbacks=NO_EVENTS)
+            kind, topic, on_message, raw=True, qos_profile=profile(DEPTH, reliable, latched))
 
 
 def run_record(out: Path, ros_args: list[str], topics: tuple[str, ...] | None = None,

@@ -19,6 +19,7 @@ from rclpy.utilities import remove_ros_args
 
 from eha_monitor.errors import InputError
 from eha_monitor.ros.parameters import for_rcl, with_namespace
+from eha_monitor.ros.without_events import QuietNode
 from eha_monitor.settings import Settings, load_settings
 
 # So often the loop looks up whether it is to end: while nothing comes, signals wait.
@@ -154,7 +155,7 @@ def deliver(node: Node) -> None:
 
 def node(name: str, namespace: str = "", **options) -> contextlib.AbstractContextManager[Node]:
     """Make a node whose parameter overrides are all declared; see :func:`made`."""
-    return made(name, Node, name, namespace=namespace,
+    return made(name, QuietNode, name, namespace=namespace,
                 automatically_declare_parameters_from_overrides=True, **options)
 
 
