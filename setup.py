@@ -75,8 +75,8 @@ setup(
         # The C compiler that links an FMU, for Linux and Windows; 400 MB that nothing else needs.
         "export": ["ziglang"],
         "test": ["casadi", "fmpy", "griffelib", "hypothesis", "ipykernel", "mujoco", "nbclient",
-                 "nbformat", "playwright", "pymoca", "pytest", "pytest-timeout", "pytest-xdist",
-                 "ruff", "urdf-parser-py", "websockets"],
+                 "nbformat", "playwright", "pymoca", "pytest", "pytest-rerunfailures",
+                 "pytest-timeout", "pytest-xdist", "ruff", "urdf-parser-py", "websockets"],
         "colcon": ["colcon-bash", "colcon-core", "colcon-output", "colcon-package-selection",
                    "colcon-python-setup-py", "colcon-recursive-crawl", "colcon-ros"],
     },

@@ -44,6 +44,21 @@ os.environ.update({
 })
 
 
+# Of 2 400 processes started eight at once on two busy cores, five heard of none of 40 publishers
+# that they had discovered, with every thread idle: Fast DDS replaces a port in shared memory whose
+# listener does not answer its check for a third of a second, and with the discovery range on
+# loopback rmw_fastrtps takes shared memory whatever FASTDDS_BUILTIN_TRANSPORTS says.  So where a
+# message never comes, and only there, a test over DDS runs once more; pytest counts it.
+NEVER_CAME = [r"Timeout \(>", r"within [0-9.]+ s"]
+
+
+def pytest_collection_modifyitems(items):
+    """Let a test over DDS run again where a message never came."""
+    for item in items:
+        if "graph" in getattr(item, "fixturenames", ()):
+            item.add_marker(pytest.mark.flaky(reruns=1, only_rerun=NEVER_CAME))
+
+
 def pytest_unconfigure():
     """Remove the logs of the session, and let its domain go."""
     _LOCK.close()

@@ -119,19 +119,9 @@ def test_a_monitor_that_falls_behind_a_bag_says_so_while_it_does(graph):
     graph.until(lambda: monitor.data.overload is None, 60.0)  # the queue has been worked off
 
 
-@pytest.fixture
-def over_udp(monkeypatch):
-    """Fast DDS without shared memory, for this process and its children.
-
-    Its listener on shared memory can stay deaf for good where a signal stops the process in the
-    wrong microsecond (1 of 36 such stops on a busy machine: docs/live.md).
-    """
-    monkeypatch.setenv("FASTDDS_BUILTIN_TRANSPORTS", "UDPv4")
-
-
 # 9 s beside those of the monitor that falls behind: the same sentence, of a process that stood.
 @pytest.mark.slow
-def test_a_monitor_that_is_held_up_names_what_it_missed(over_udp, graph):
+def test_a_monitor_that_is_held_up_names_what_it_missed(graph):
     """The real process, stopped by a signal while samples come."""
     process = subprocess.Popen([sys.executable, "-m", "eha_monitor", "monitor"],
                                stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
