@@ -74,7 +74,8 @@ def test_friction_is_found_and_told(answered):
     assert first["parameters"]["F_c"]["value"] == pytest.approx(40.0, rel=0.05)
     assert tree["parameters"]["before"]["B"]["value"] > 900.0
     assert tree["parameters"]["after"]["B"]["value"] == pytest.approx(600.0, rel=0.02)
-    assert tree["parameters"]["after"]["beta_e"]["value"] == pytest.approx(6e8, rel=0.02)
+    modulus = tree["parameters"]["after"]["beta_e"]  # no better known than the volumes are
+    assert abs(modulus["value"] - 6e8) < 2.0 * modulus["stddev"] < 0.2 * 6e8
     position = tree["fit"]["signals"]["position"]
     assert position["after_rms"] < 0.3 * position["before_rms"]
     assert "coulomb_friction" in done.stdout

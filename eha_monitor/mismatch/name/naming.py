@@ -9,13 +9,12 @@ from eha_monitor import ties
 from eha_monitor.mismatch.data.experiment import Experiment
 from eha_monitor.mismatch.data.inputs import FORCED, OPEN
 from eha_monitor.mismatch.diagnosis import Gate, Piece
-from eha_monitor.mismatch.likelihood.fit import Fit, remade, with_unknowns
+from eha_monitor.mismatch.likelihood.fit import Fit, with_unknowns
 from eha_monitor.mismatch.likelihood.gains import Unknowns
 from eha_monitor.mismatch.name.before import FirstView
 from eha_monitor.mismatch.name.candidates import RIG, all_named, candidate
 from eha_monitor.mismatch.name.columns import runs_of
 from eha_monitor.mismatch.name.gram import evidences_at
-from eha_monitor.mismatch.name.polish import Slopes, polished
 from eha_monitor.mismatch.name.posterior import plainness, posterior
 from eha_monitor.mismatch.name.refit import settled
 from eha_monitor.mismatch.name.select import Selection, selected
@@ -81,30 +80,6 @@ def in_place_of(name: str, best: Names, weights: dict[Names, float]) -> dict[str
     return others
 
 
-def at_config(experiment: Experiment, fit: Fit) -> Fit:
-    """Return a fit in which numbers of the rig that it hardly determines are the config's.
-
-    Volumes and beta_e trade, and so do mass, areas and B: on such a ridge only the prior decides,
-    and the config's own number is the one to report the others beside.  What the numbers'
-    tolerances make uncertain stays in the covariance.
-    """
-    loose = {f.name for i, f in enumerate(fit.free)
-             if f.of_rig and f.name not in fit.named
-             and np.sqrt(fit.covariance[i, i]) > experiment.policy.informed * f.spread}
-    if not loose:
-        return fit
-    theta = fit.theta.copy()
-    for f in fit.free:
-        if f.name in loose:
-            theta[f.place] = experiment.theta[f.place]
-    free = tuple(f for f in fit.free if f.name not in loose)
-    plain = polished(experiment, remade(experiment, fit, theta=theta, free=free),
-                     Slopes(experiment))
-    if not fit.log_likelihood - plain.log_likelihood < -np.log(experiment.policy.rival):
-        return fit  # it says something of them after all
-    return replace(plain, free=fit.free, covariance=fit.covariance)
-
-
 def beyond_form(experiment: Experiment, before: Fit, after: Fit, needs: Unknowns) -> float:
     """Return the probability that a model's unknowns are more than its form error.
 
@@ -166,7 +141,7 @@ def naming_of(experiment: Experiment, found: Selection, before: Fit) -> Naming:
     weights = posterior(refits, [
         (view.here, view.ranking) for view in (found.view, found.beside) if view is not None])
     scores = refits.scores()
-    after = at_config(experiment, refits.fits[best])
+    after = refits.fits[best]
     gates = tuple(gate for failed in refits.refused.values() for gate in failed)
     # What speaks for a set that no gate lets through speaks for something that has no name.
     refused = sum(weights.get(names, 0.0) for names in refits.refused)
