@@ -161,6 +161,25 @@ def entered_at_best(experiment: Experiment, fit: Fit, what: tuple[Column, ...], 
     return best
 
 
+def from_each_start(what: tuple[Column, ...], ranked: Ranked) -> list[Ranked]:
+    """Return a ranked set, and it with each other start of what enters where it starts.
+
+    A size that is known to a factor (the length of a line) is not moved by the linear guess, so
+    the guess does not say from which start a fit gets there.
+    """
+    found = [ranked]
+    for member in ranked.members:
+        if member.variant < 0 or not any(
+                p.log for p in getattr(CATALOGUE.get(member.owner), "sizes", ())):
+            continue
+        others = {column.variant for column in what
+                  if column.owner == member.owner and column.variant >= 0} - {member.variant}
+        found += [replace(ranked, members=tuple(
+            one._replace(variant=other) if one is member else one for one in ranked.members))
+            for other in sorted(others)]
+    return found
+
+
 def joined(experiment: Experiment, fit: Fit, what: tuple[Column, ...], ranked: Ranked,
            share: float = 1.0) -> Fit:
     """Return the model of a ranked set under its level's gains, ``share`` of the way there."""

@@ -32,6 +32,7 @@ from eha_monitor.mismatch.name.refit import (
     FIRST,
     at_level,
     entered_at_best,
+    from_each_start,
     looked,
     settled,
     unfitted,
@@ -193,7 +194,9 @@ def refit(experiment: Experiment, view: Linearised, chosen: list[Ranked], refits
         return entered_at_best(experiment, view.fit, view.what, one)
 
     def quick(one: Ranked) -> Fit:
-        made = looked(experiment, entered(one), view.slopes)
+        made = ties.best([looked(experiment, entered(each), view.slopes)
+                          for each in from_each_start(view.what, one)],
+                         lambda fit: fit.log_likelihood, within=ties.GUESS)
         if not np.isfinite(made.log_likelihood) or made.unknowns == view.fit.unknowns:
             return made
         # The guess is ranked by the innovations that a filter expects, the fit by those it has: a
