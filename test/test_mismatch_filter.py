@@ -46,7 +46,7 @@ from eha_monitor.mismatch.likelihood.gains import (
     smallest_unknowns,
 )
 from eha_monitor.mismatch.likelihood.innovations import N_FILTERED, riccati
-from eha_monitor.mismatch.name.starts import expected_likelihood
+from eha_monitor.mismatch.name.starts import expected_likelihood, possible
 from eha_monitor.mismatch.show.model import robust
 from eha_monitor.physics.plant import N_OUTPUTS, Y_OMEGA
 
@@ -345,3 +345,14 @@ def test_a_force_that_is_told_late_is_read_as_much_later(run):
     np.testing.assert_allclose(found, before, atol=1e-3 * before.std())
     both = errors(whole, pressure_delay={"T": 2.4 * DT}, position_delay={"T": 2.4 * DT})
     np.testing.assert_allclose(both, before, atol=1e-9 * before.std())
+
+
+def test_one_of_two_sensors_may_be_late_but_no_force_that_a_drive_tells(run):
+    """On EMPS a position that was late beside the drive's force bent friction and damping."""
+    by_pressures = without(run.recording(1), "omega", "x_d")
+    force = settings().rig.area_1 * (by_pressures.channels["p1"] - by_pressures.channels["p2"])
+    by_force = with_channels(by_pressures, p1=None, p2=None, force=force)
+    for recording, able in ((by_pressures, True), (by_force, False)):
+        experiment = experiment_of([recording], settings())
+        assert possible("position_delay", experiment) is able
+        assert possible("coulomb_friction", experiment)

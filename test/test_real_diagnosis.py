@@ -30,8 +30,9 @@ def test_both_directions_name_dry_friction():
     assert found.effects[0].parameters["F_c"].value == pytest.approx(0.034, rel=0.15)
 
 
-@pytest.mark.slow
-@pytest.mark.timeout(600)
+# 20 s, and worth them: a fault that may be called the sensor's once took a tenth of B here, and
+# no drawn recording showed it.
+@pytest.mark.timeout(300)
 def test_screw_drive_agrees_with_the_published_friction():
     recordings, settings = real("emps", "emps/DATA_EMPS.mat")
     found = diagnose(recordings, settings)
@@ -40,8 +41,7 @@ def test_screw_drive_agrees_with_the_published_friction():
     assert effect.name == "asymmetric_friction"
     assert found.after["B"].value == pytest.approx(203.5, rel=0.03)
     assert effect.parameters["F_c"].value == pytest.approx(20.39, rel=0.03)
-    why = {one.name: one.why for one in found.considered}
-    assert "log units behind" in why["coulomb_friction"]
+    assert [one.name for one in found.effects] == ["asymmetric_friction"]
     assert found.signals["force"].after_rms < 0.2 * found.signals["force"].before_rms
 
 

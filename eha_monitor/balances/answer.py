@@ -27,6 +27,7 @@ from eha_monitor.balances.policy import POLICY, Policy
 from eha_monitor.balances.together import of_one_machine
 from eha_monitor.errors import InputError
 from eha_monitor.mismatch.diagnosis import (
+    BALANCE_OF,
     Agreement,
     Change,
     Considered,
@@ -219,7 +220,9 @@ def _composed(models: Sequence[Model], courses: Sequence[Course], settings: Sett
                                 one.error * one.size, one.floor, signal_rms=one.size)
          for one in models},
         curves=curves, overlays=tuple(o for one in models if (o := overlay_of(one)) is not None),
-        health=health_sentences(before, after, effects),
+        # What a balance lacks bends its own parameter; least squares on the other do not see it.
+        health=tuple(sentence for name, value in before.items() for sentence in health_sentences(
+            {name: value}, after, [e for e in effects if e.balance == BALANCE_OF[name]])),
         config_effects=config_effects(models, effects, settings),
         probability={"consistent": np.nan, "unexplained": np.nan}, rig_data=wrong,
         fitted=_fitted(models, after, effects, wrong), gates=tuple(
