@@ -155,7 +155,7 @@ def of_recordings(courses: Sequence[Course], rig: Rig, scale: Scale, balance: st
     model = Model(
         balance, tuple(tables), tuple({k: v for k, v in row.items() if v is not None}
                                       for row in weights),
-        _terms_alone(whole, found, len(tables), policy), found.refused,
+        relaxed_at_zero(_terms_alone(whole, found, len(tables), policy), policy), found.refused,
         _nominal(whole, balance, rig, policy),
         tuple(np.split(whole.crosswise(bare, held), lengths)),
         tuple(np.split(whole.crosswise(names), lengths)), tuple(tables), found.effective_samples)
@@ -187,6 +187,25 @@ def _terms_alone(whole: Table, found: Alone, count: int, policy: Policy) -> tupl
             whole.effective * float(np.log(both[1] / both[0])), named,
             _instead(whole, rest, both[0], LOAD, policy) if named else ()))
     return tuple(terms)
+
+
+def relaxed_at_zero(terms: tuple[Term, ...], policy: Policy) -> tuple[Term, ...]:
+    """Return terms in which a spring beside the load that cancels it at x = 0 is a spring alone.
+
+    The column of a spring is k (x - x_0) with x_0 where the motion begins, so that it is not that
+    of a load F_0; k (x - x_0) + F_0 is k x where F_0 is k x_0.
+    """
+    spring = next((t for t in terms if t.named and t.candidate.effect == "spring_load"), None)
+    load = next((t for t in terms if t.named and t.candidate.effect == LOAD and not t.each), None)
+    if spring is None or load is None:
+        return terms
+    x_0 = dict(spring.candidate.shape)["x_0"]
+    if abs(load.value - spring.value * x_0) > policy.varied * np.hypot(
+            load.stddev, x_0 * spring.stddev):
+        return terms
+    alone_ = replace(spring, candidate=replace(spring.candidate, shape=(("x_0", 0.0),)))
+    of = {id(spring): alone_, id(load): replace(load, named=False)}
+    return tuple(of.get(id(term), term) for term in terms)
 
 
 def _left(table: Table, names: Sequence[str]) -> float:
@@ -256,7 +275,8 @@ def of_machine(one: MachineBalance, courses: Sequence[Course], rig: Rig, scale: 
     shared = {p.name: p.value for p in one.parameters}
     weights = tuple(shared | {s.name: s.value[i] for s in one.settings}
                     for i in range(len(tables)))
-    model = Model(one.balance, tuple(tables), weights, tuple(terms), one.refused,
+    model = Model(one.balance, tuple(tables), weights, relaxed_at_zero(tuple(terms), policy),
+                  one.refused,
                   _nominal(whole, one.balance, rig, policy),
                   tuple(Recordings(plain).left_out(bare)),
                   tuple(after), tuple(tables), one.effective)
