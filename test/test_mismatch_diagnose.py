@@ -16,7 +16,8 @@ from eha_monitor.mismatch.diagnose import (
 )
 from eha_monitor.mismatch.diagnosis import VERDICTS, Diagnosis, SignalFit
 from eha_monitor.mismatch.name.naming import Naming
-from eha_monitor.mismatch.name.select import nominal
+from eha_monitor.mismatch.name.select import nominal, settled
+from eha_monitor.mismatch.name.starts import starts_of, with_effect
 from eha_monitor.mismatch.policy import POLICY
 from eha_monitor.mismatch.show.held_out import worse
 from eha_monitor.mismatch.show.model import rig_findings
@@ -222,3 +223,21 @@ def test_a_hold_that_the_bare_model_contradicts_is_taken_back():
     assert gained_under(flowing, under_hold) > 100.0
     assert gained_under(held, under_none) < -100.0
     assert other_hold(held.settings).command_hold == flowing.settings.command_hold
+
+
+def test_a_set_is_compared_with_itself_under_the_other_hold():
+    """A position read late looked like a hold; beside a spring the bare model says nothing."""
+    recording, settings = recorded(case_of("spring_load", "position_delay"))
+    flowing, held = (experiment_of([recording], with_hold(settings, hold))
+                     for hold in ("continuous", "sampled"))
+
+    def fitted_with(experiment, *names):
+        fit = nominal(experiment)[1]
+        for name in names:
+            fit = with_effect(fit, starts_of(name, experiment)[0], (1.0,))
+        return settled(experiment, fit)
+
+    under_hold = fitted_with(held, "spring_load")
+    bare = nominal(flowing)[1].log_likelihood - under_hold.log_likelihood
+    assert gained_under(flowing, under_hold) > max(bare, 0.0) + 100.0
+    assert gained_under(held, fitted_with(flowing, "spring_load", "position_delay")) < -100.0

@@ -41,11 +41,12 @@ from eha_monitor.mismatch.learn.validated import (
     validated_term,
 )
 from eha_monitor.mismatch.likelihood.along import filtered_tracks
-from eha_monitor.mismatch.likelihood.fit import Fit
+from eha_monitor.mismatch.likelihood.fit import Fit, with_unknowns
 from eha_monitor.mismatch.locate import location as locate
 from eha_monitor.mismatch.locate.terms import BALANCES, missing_terms
 from eha_monitor.mismatch.name.before import FirstView, at_its_angle, informative
 from eha_monitor.mismatch.name.naming import Naming, beyond_form, name_effects, on_all_of
+from eha_monitor.mismatch.name.refit import looked
 from eha_monitor.mismatch.name.select import (
     Unfollowed,
     lack_of,
@@ -248,7 +249,10 @@ def nominal_of(experiment: Experiment) -> Fit | None:
 
 
 def gained_under(other: Experiment, found: Fit | None) -> float:
-    """Return by how much a nominal model fits better than what was found, log units.
+    """Return by how much a set fits better under another hold than where it was found, log units.
+
+    The likelier of it and the nominal model there, after a first look: what is missing beside the
+    set may be what was taken for a hold (a position that is read late).
 
     Parameters
     ----------
@@ -259,9 +263,12 @@ def gained_under(other: Experiment, found: Fit | None) -> float:
         return fit.log_likelihood / np.isfinite(fit.e).sum()
 
     bare = nominal_of(other)
-    if bare is None or found is None:
+    if found is None:
         return 0.0 if bare is None else np.inf
-    return float((each(bare) - each(found)) * np.isfinite(bare.e).sum())
+    windows = informative(other)
+    there = [looked(windows, with_unknowns(windows, found)), *filter(None, [bare])]
+    best = max(there, key=each)
+    return float((each(best) - each(found)) * np.isfinite(best.e).sum())
 
 
 def diagnosed(recordings: list[Recording], experiment: Experiment,
