@@ -45,9 +45,9 @@ os.environ.update({
 
 
 # Of 2 400 processes started eight at once on two busy cores, five heard of none of 40 publishers
-# that they had discovered, with every thread idle: Fast DDS replaces a port in shared memory whose
-# listener does not answer its check for a third of a second, and with the discovery range on
-# loopback rmw_fastrtps takes shared memory whatever FASTDDS_BUILTIN_TRANSPORTS says.  So where a
+# that they had discovered, with every thread idle; probably Fast DDS replaces a port in shared
+# memory whose listener does not answer its check in time.  With the discovery range on loopback
+# rmw_fastrtps takes shared memory whatever FASTDDS_BUILTIN_TRANSPORTS says.  So where a
 # message never comes, and only there, a test over DDS runs once more; pytest counts it.
 NEVER_CAME = [r"Timeout \(>", r"within [0-9.]+ s"]
 

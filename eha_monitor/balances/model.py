@@ -203,9 +203,9 @@ def relaxed_at_zero(terms: tuple[Term, ...], policy: Policy) -> tuple[Term, ...]
     if abs(load.value - spring.value * x_0) > policy.varied * np.hypot(
             load.stddev, x_0 * spring.stddev):
         return terms
-    alone_ = replace(spring, candidate=replace(spring.candidate, shape=(("x_0", 0.0),)))
-    of = {id(spring): alone_, id(load): replace(load, named=False)}
-    return tuple(of.get(id(term), term) for term in terms)
+    relaxed = replace(spring, candidate=replace(spring.candidate, shape=(("x_0", 0.0),)))
+    return tuple(relaxed if term is spring else replace(term, named=False) if term is load
+                 else term for term in terms)
 
 
 def _left(table: Table, names: Sequence[str]) -> float:

@@ -150,7 +150,8 @@ def _diagnosed(recordings: list[Recording], settings: Settings, held_out: Record
         # What is missing may have been taken for a hold, or the other way about.
         other = at_its_angle(experiment_of(recordings, other_hold(held), held_out is None,
                                            without))
-        gained = gained_under(other, named[1].after if followed else nominal_of(experiment))
+        gained = gained_under(other, named[1].after if followed else
+                              nominal_of(informative(experiment)))
         if gained > 0.0:
             experiment, held = other, other.settings
             named, followed = followed_by(other, say, first, stands and not followed)
@@ -240,10 +241,10 @@ def view_of(first: Diagnosis | None) -> FirstView | None:
     return FirstView(effects, None if damping is None else damping.value)
 
 
-def nominal_of(experiment: Experiment) -> Fit | None:
+def nominal_of(windows: Experiment) -> Fit | None:
     """Return the nominal model with the rig's numbers free, fitted; None where none runs."""
     try:
-        return nominal_model(informative(experiment), within=True)
+        return nominal_model(windows, within=True)
     except np.linalg.LinAlgError:
         return None
 
@@ -262,10 +263,10 @@ def gained_under(other: Experiment, found: Fit | None) -> float:
     def each(fit: Fit) -> float:
         return fit.log_likelihood / np.isfinite(fit.e).sum()
 
-    bare = nominal_of(other)
+    windows = informative(other)
+    bare = nominal_of(windows)
     if found is None:
         return 0.0 if bare is None else np.inf
-    windows = informative(other)
     there = [looked(windows, with_unknowns(windows, found)), *filter(None, [bare])]
     best = max(there, key=each)
     return float((each(best) - each(found)) * np.isfinite(best.e).sum())
