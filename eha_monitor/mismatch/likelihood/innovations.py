@@ -34,6 +34,7 @@ from eha_monitor.physics.contributions import (
 from eha_monitor.physics.signals import AREA_1, AREA_2, MAX_MEMORY, N_CONTRIBUTIONS, N_SIGNALS, M
 
 FREE = -1.0  # role of a sample that corrects nothing
+SLID = 1.0  # m, without a reversal: no seal is still bent the other way
 N_FILTERED = 8  # x, v, p1, p2, omega, force, flow, speed: the head of the plant's state
 
 
@@ -160,12 +161,15 @@ def transition(mode, step, theta, active, decay, y, u, shifts):
     actuator = plant.Actuator(y.copy(), np.zeros((N_EFFECTS, MAX_MEMORY)),
                               np.zeros((plant.RING, 4)), np.zeros(1, dtype=np.int64))
     moved, memory, past, newest = actuator
+    places = with_place(active)
     for i in range(N_FILTERED):
         for side in range(2):
             moved[:] = y
             moved[i] += shifts[i] * (1.0 if side == 0 else -1.0)
             moved[8] = moved[0]
             memory[:] = 0.0
+            for which in places:  # in typical motion a seal slides, wherever x = 0 lies
+                memory[which, 1] = moved[0] - SLID
             newest[0] = 0
             for r in range(plant.RING):  # the past of a steady motion to this point
                 steps_ago = (plant.RING - r) % plant.RING

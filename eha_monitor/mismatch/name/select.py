@@ -7,6 +7,8 @@ import numpy as np
 
 from eha_monitor import ties
 from eha_monitor.mismatch.data.experiment import Experiment, resolving
+from eha_monitor.mismatch.data.inputs import FORCED
+from eha_monitor.mismatch.likelihood.along import filtered_tracks
 from eha_monitor.mismatch.likelihood.fit import Fit, remade, spread, with_unknowns
 from eha_monitor.mismatch.name.before import FirstView, informative
 from eha_monitor.mismatch.name.candidates import candidate
@@ -48,6 +50,7 @@ from eha_monitor.mismatch.name.starts import (
     with_effect,
     without_effect,
 )
+from eha_monitor.physics import signals as of
 from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.physics.parameters import effect_values
 from eha_monitor.physics.signals import BETA_E, B
@@ -403,13 +406,35 @@ def bent(start: Fit, fit: Fit) -> bool:
 
 
 def resolved_nominal(experiment: Experiment) -> tuple[Experiment, Fit]:
-    """Fit the nominal model with integration steps that resolve the damping it finds."""
+    """Fit the nominal model with integration steps that resolve the damping it finds.
+
+    The experiment that is returned has the ranges of the pressures that this model finds, where
+    no sensor reads them: a relief valve is sought where the pressures are.
+    """
     while True:
         first = nominal_model(experiment)
         finer = resolving(experiment, first.theta[B])
         if finer.steps == experiment.steps:
-            return experiment, first
+            experiment = with_pressures(experiment, first)
+            return experiment, with_unknowns(experiment, first)
         experiment = finer
+
+
+def with_pressures(experiment: Experiment, fit: Fit) -> Experiment:
+    """Return an experiment with the ranges of pressures that a fit finds, if a sensor is absent."""
+    if experiment.mode == FORCED or (experiment.used[2] and experiment.used[3]):
+        return experiment
+    # A filter that starts from a wrong pressure is off until its gains are steady.
+    tracks = np.concatenate([track[len(fit.gains) :]
+                             for track in filtered_tracks(experiment, fit)])
+    p1, p2 = tracks[:, of.P1], tracks[:, of.P2]
+    if not len(tracks) or not (np.isfinite(p1) & np.isfinite(p2)).all():
+        return experiment
+    low = np.quantile(np.minimum(p1, p2), [0.002, 0.02, 0.2])  # as ranges_of, no extremes
+    apart = np.quantile(np.abs(p1 - p2), [0.5, 0.9, 0.98, 0.998])
+    return replace(experiment, ranges=replace(
+        experiment.ranges, pressure_difference=tuple(apart.tolist()),
+        lowest_pressure=tuple(low.tolist()), mean_pressure=float(np.median(p1 + p2)) / 2.0))
 
 
 def nominal(experiment: Experiment) -> tuple[Experiment, Fit]:

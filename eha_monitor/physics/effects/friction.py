@@ -14,7 +14,9 @@ EQUATION = ("F = f + t_1 e^-(v/v_d)^2 f',  df/d|x| = (F_steady - f) / z_0,  "
             "s = (1 - w) tanh(v / v_e) + w v / (v_e + |v|)")
 V_E = Parameter("v_e", "m/s", "velocity over which the sign is smoothed", 1e-6, 1.0, 1e-3, 1e-3)
 Z_0 = Parameter("z_0", "m", "displacement over which the friction reverses", 0.0, 1e-3, 4e-6, 0.0)
-T_1 = Parameter("t_1", "s", "micro damping over micro stiffness of the seal", 0.0, 0.1, 1e-4, 0.0)
+# sigma_1 = sqrt(sigma_0 M) damps the mass on its seal to half of critical (Canudas de Wit 1995,
+# Table I): t_1 = sqrt(M / sigma_0), 1 to 10 ms here.
+T_1 = Parameter("t_1", "s", "micro damping over micro stiffness of the seal", 0.0, 0.1, 2e-3, 0.0)
 V_D = Parameter("v_d", "m/s", "speed above which the micro damping fades", 1e-4, 10.0, 5e-3, 5e-3)
 W = Parameter("w", "", "share of the sign that turns over as slowly as v/(v_e + |v|), the rest as "
               "tanh(v/v_e)", 0.0, 1.0, 0.25, 0.0)
