@@ -145,7 +145,9 @@ def strangers(seed: int, rigs: int) -> dict:
                   + ", ".join(e["name"] for e in truths[0]["effects"]))
             for p in one.parameters:
                 reach = 2 * float(np.hypot(p.between, p.stddev))
-                if p.name == "B":
+                if p.name == "B":  # as an answer states it: with the tolerance of the area
+                    reach = float(np.hypot(
+                        reach, 2 * settings.rig.tolerance.log_spread("area_1") * p.value))
                     inside["B"].append(low - reach <= p.value <= high + reach)
                 if p.name == "D_p":
                     true = rig.plant.displacement_1

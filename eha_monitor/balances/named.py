@@ -34,7 +34,8 @@ def effects_of(model: Model, rig: Rig, policy: Policy, held: Effects) -> list[Na
     held : effects of the config, which the terms add to.
     """
     named = [t for t in model.terms if (t.named or _leaks_more(t, policy))
-             and t.candidate.name not in LINEAR and not _within_tolerance(t, rig, policy)]
+             and t.candidate.name not in LINEAR and not _within_tolerance(t, rig, policy)
+             and policy.sure(t.value, t.stddev)]
     groups: dict[str, list[Term]] = {}
     for term in named:
         groups.setdefault(term.candidate.effect, []).append(term)
@@ -119,7 +120,10 @@ def _effect(name: str, terms: Sequence[Term], model: Model, rig: Rig, held: Mapp
 
 
 def shown_as(term: Term, model: Model, rig: Rig) -> tuple[str, Value]:
-    """Return the parameter of the catalogue that a term is, and its value there."""
+    """Return the parameter of the catalogue that a term is, and its value there.
+
+    A force has the error of the area, as B has.
+    """
     c, shape = term.candidate, dict(term.candidate.shape)
     if c.symbol == "omega_max":
         return c.symbol, Value(shape["omega_max"], model.floor, "rad/s")
@@ -127,7 +131,9 @@ def shown_as(term: Term, model: Model, rig: Rig) -> tuple[str, Value]:
     if c.name == "C_x" and soft is not None and soft.value > 0.0 and rig.volume_1:
         factor = rig.volume_1 / soft.value
         return "A_v", Value(factor * term.value, factor * term.stddev, "m²")
-    return c.symbol or c.name, Value(term.value, term.stddev, c.unit)
+    area = rig.tolerance.log_spread("area_1") if model.balance == "force" and rig.area_1 else 0.0
+    return c.symbol or c.name, Value(
+        term.value, float(np.hypot(term.stddev, area * term.value)), c.unit)
 
 
 def numbers_of(name: str, terms: Sequence[Term], values: dict[str, Value]) -> dict[str, float]:

@@ -421,7 +421,7 @@ def resolved_nominal(experiment: Experiment) -> tuple[Experiment, Fit]:
 
 
 def with_pressures(experiment: Experiment, fit: Fit) -> Experiment:
-    """Return an experiment with the ranges of pressures that a fit finds, if a sensor is absent."""
+    """Return an experiment with the ranges of the pressures that a fit finds and nobody reads."""
     if experiment.mode == FORCED or (experiment.used[2] and experiment.used[3]):
         return experiment
     # A filter that starts from a wrong pressure is off until its gains are steady.

@@ -34,14 +34,20 @@ def values_of(experiment: Experiment, fit: Fit) -> dict[str, Value]:
     known = {f.name for f in fit.free}
     found = {}
     if "B" in known:
-        # Where the areas make the measured force, B has their error and no fit can know of it.
-        made = experiment.by_pressures
-        scale = experiment.settings.rig.tolerance.log_spread("area_1") if made else 0.0
         found["B"] = Value(fit.value("B"), float(np.hypot(
-            fit.stddev("B"), scale * fit.value("B"))), unit)
+            fit.stddev("B"), of_the_areas(experiment) * fit.value("B"))), unit)
     if "beta_e" in known:
         found["beta_e"] = Value(fit.value("beta_e"), fit.stddev("beta_e"), "Pa")
     return found
+
+
+def of_the_areas(experiment: Experiment) -> float:
+    """Return the share by which a force may be wrong that the areas make of the pressures.
+
+    Every size of the force balance has that error, and no fit can know of it.
+    """
+    made = experiment.by_pressures
+    return experiment.settings.rig.tolerance.log_spread("area_1") if made else 0.0
 
 
 def fitted_of(fit: Fit) -> Fitted:
@@ -60,6 +66,10 @@ def stated_stddev(experiment: Experiment, fit: Fit, key: str) -> float:
     no better: an error even within that limit has a standard deviation of limit/sqrt(3).
     """
     floor = experiment.policy.timing * experiment.dt / np.sqrt(3.0) if key in TIMED else 0.0
+    effect, _, symbol = key.partition(".")
+    entry = CATALOGUE.get(effect)
+    if entry is not None and entry.balance == "force" and symbol in {p.name for p in entry.sizes}:
+        floor = of_the_areas(experiment) * fit.value(key)
     return float(np.hypot(fit.stddev(key), floor))
 
 
