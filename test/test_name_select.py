@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from mismatch_tools import fitted, recorded
+from mismatch_tools import case_of, fitted, recorded
 
 from eha_monitor.concealed.cases import Case
 from eha_monitor.mismatch.data.experiment import experiment_of
@@ -447,3 +447,25 @@ def test_each_member_is_contested_by_what_comes_next_in_its_place():
                ranked(60.0, "pressure_offset"), ranked(90.0, "pressure_offset", "drive_lag")]
     view = Linearised(pair.names, None, (), None, [], ranking)
     assert names_of(contested(view)) == [{"pressure_scale", "backlash"}]  # a lag takes too little
+
+
+def test_pressures_that_nobody_reads_have_the_ranges_of_the_filter():
+    """A relief valve of a rig without pressure sensors is sought where the pressures are."""
+    case = case_of()
+    read, _ = recorded(case)
+    bare, settings = recorded(replace(case, channels=("x", "x_d", "omega")))
+    found = resolved_nominal(experiment_of([bare], settings))[0].ranges
+    p1, p2 = read.channels["p1"], read.channels["p2"]
+    assert found.pressure_difference == pytest.approx(np.quantile(
+        np.abs(p1 - p2), [0.5, 0.9, 0.98, 0.998]), rel=0.2, abs=3e4)
+    assert found.lowest_pressure == pytest.approx(np.quantile(
+        np.minimum(p1, p2), [0.002, 0.02, 0.2]), rel=0.05)
+
+
+def test_a_soft_seal_is_found_with_its_micro_damping():
+    """The concealed LuGre seal has sigma_1 = 0.6 sqrt(sigma_0 M): t_1 = 3 ms, ten starts away."""
+    soft = fitted("presliding_friction", motion="rich").after
+    level, travel = 40.0, 50e-6
+    damping = 0.6 * np.sqrt(20.0 * travel / level)
+    for symbol, true in (("F_c", level), ("z_0", travel), ("t_1", damping)):
+        assert soft.value(f"presliding_friction.{symbol}") == pytest.approx(true, rel=0.02)

@@ -136,13 +136,15 @@ class Search:
         refits.add(experiment, frozenset(), nominal)
         return cls(experiment, nominal, refits, sketch, ended=sketch, view=view, may_end=may_end)
 
-    def end_if_unfollowed(self) -> None:
-        """End where the best model lacks a log unit a sample and the last round gained nothing."""
+    def gained_nothing(self) -> bool:
+        """Tell whether the best model lacks a log unit a sample, after the last round as before.
+
+        Only where the search may end so.
+        """
         before, self.lack = self.lack, lack_of(
             self.experiment, self.refits.fits[self.refits.best()])
-        if self.may_end and self.lack > max(self.experiment.policy.lacking,
-                                            (1.0 - GAINED) * before):
-            raise Unfollowed
+        return self.may_end and self.lack > max(self.experiment.policy.lacking,
+                                                (1.0 - GAINED) * before)
 
     def look_at_first_view(self) -> None:
         """Fit what least squares name, where what was found lacks something.
@@ -304,7 +306,6 @@ def explored(search: Search, say: Callable[[str, float], None]) -> Search:
     """Linearise, rank, refit, and again at the best, until the best set stays."""
     experiment, refits, done = search.experiment, search.refits, search.done
     for turn in range(ROUNDS + 1):
-        search.end_if_unfollowed()
         place = next_place(search, turn)
         if place is None or turn == ROUNDS:
             break
@@ -335,7 +336,18 @@ def next_place(search: Search, turn: int) -> tuple[Names, Fit] | None:
     """Return the model at which a search goes on; None where it has been everywhere.
 
     What is best is fitted to the end before, which may put another set ahead.
+
+    Raises
+    ------
+    Unfollowed
+        If it may end so, and there is no other place.
     """
+    if search.gained_nothing():
+        other = None if search.far else far_off(search)
+        if other is None:
+            raise Unfollowed
+        search.far, search.lack = True, np.inf
+        return frozenset(), other
     at = search.refits.ahead(search.done, STRAYED)
     if at is None and search.view is not None:
         search.look_at_first_view()
@@ -415,8 +427,8 @@ def resolved_nominal(experiment: Experiment) -> tuple[Experiment, Fit]:
         first = nominal_model(experiment)
         finer = resolving(experiment, first.theta[B])
         if finer.steps == experiment.steps:
-            experiment = with_pressures(experiment, first)
-            return experiment, with_unknowns(experiment, first)
+            found = with_pressures(experiment, first)
+            return found, first if found is experiment else with_unknowns(found, first)
         experiment = finer
 
 

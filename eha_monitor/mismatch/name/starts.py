@@ -192,7 +192,7 @@ def free_parameter(start: Start, p: Parameter) -> Free:
     if p.lower > 0:
         return Free(name, place, p.lower, p.upper, float(np.log(value)), start.policy.shape,
                     True)
-    return Free(name, place, p.lower, p.upper, value, 2.0 * p.scale)
+    return Free(name, place, p.lower, p.upper, value, max(2.0 * p.scale, abs(value)))
 
 
 def free_of(start: Start) -> tuple[Free, ...]:
