@@ -370,7 +370,8 @@ def assemble(recordings: list[Recording], shown: Experiment, naming: Naming, sta
             one.probability, claims.get(one.name, 0.0), policy))
         wrong = tuple(one for one in wrong if is_answer(
             one.probability, claims.get(f"rig.{one.key}", 0.0), policy))
-        verdict = verdict if effects or wrong else "consistent"
+        if not (effects or wrong):  # many names share what is there, and none may stand for it
+            verdict = "consistent" if naming.consistent > policy.rival else "unexplained"
     open_end = verdict == "unexplained" and told is None
     nearest = after  # what no model explains shows where the best one has taken away all else
     if open_end:  # nothing is an answer: no name, no number but the nominal model's, in doubt

@@ -143,9 +143,13 @@ def naming_of(experiment: Experiment, found: Selection, before: Fit) -> Naming:
     scores = refits.scores()
     after = refits.fits[best]
     gates = tuple(gate for failed in refits.refused.values() for gate in failed)
-    # What speaks for a set that no gate lets through speaks for something that has no name.
-    refused = sum(weights.get(names, 0.0) for names in refits.refused)
+    # What speaks for a set that no gate lets through speaks for something that has no name, as far
+    # as the answer does not explain it as well.
+    refused = sum(weights.get(names, 0.0) for names in refits.refused
+                  if refits.evidence[names] > refits.evidence[best])
     weights = {names: weight for names, weight in weights.items() if names not in refits.refused}
+    whole = refused + sum(weights.values())
+    refused, weights = refused / whole, {names: one / whole for names, one in weights.items()}
     rivals, probability, evidence, claims = {}, {}, {}, {}
     for name in sorted(best):
         stands = in_place_of(name, best, weights)

@@ -79,6 +79,10 @@ class Refits:
         """Return the set with the highest evidence, the plainest of equals."""
         return ties.best(sets, self.evidence.get, plainness, ties.SAME_FIT)
 
+    def highest(self) -> Names:
+        """Return the set with the highest evidence, of those that no gate has refused."""
+        return self.likeliest(names for names in self.evidence if names not in self.refused)
+
     def score(self, evidence: float, prior: float) -> float:
         """Return what an evidence counts, log units: see :func:`counted`."""
         return self.policy.temper * counted(self.floor() - evidence, self.policy) + prior

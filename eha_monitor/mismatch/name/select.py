@@ -484,7 +484,11 @@ def simplified(experiment: Experiment, fit: Fit, name: str, other: str) -> Fit:
     Its size is the likeliest of a ladder: a start that is 60 times too small needs more steps than
     a fit that is far behind is given.
     """
-    start = sharing(starts_of(other, experiment)[0], effect_values(fit.theta, name))
+    start, has = starts_of(other, experiment)[0], effect_values(fit.theta, name)
+    least = {p.name: dict(start.values)[p.name] for p in CATALOGUE[other].sizes}
+    # A size that vanishes in the law is none of the simpler one's (Stribeck with F_c = 0).
+    start = sharing(start, {key: value for key, value in has.items()
+                            if abs(value) >= abs(least.get(key, 0.0))})
     bare, sizes = without_effect(experiment, fit, name), len(CATALOGUE[other].sizes)
     return ties.best(
         [with_unknowns(experiment, with_effect(bare, start, (times,) * sizes), fit.unknowns)
@@ -572,15 +576,17 @@ def with_rig(experiment: Experiment, fit: Fit) -> Fit:
 
 
 def without_each(experiment: Experiment, refits: Refits) -> None:
-    """Fit the best set without each of its members from where it stands itself.
+    """Fit the best set, and the likeliest, without each of their members from where they stand.
 
     A member is named only if the others cannot do without it, and they may have been fitted from
-    a worse place.
+    a worse place.  The likeliest set may hold the right one beside a member too many.
     """
-    while refits.parted.get(best := refits.best()) is not (fit := refits.fits[best]):
-        refits.parted[best] = fit
-        if len(best) > 1:
-            without(experiment, refits, best)
+    while (names := next((names for names in (refits.best(), refits.highest())
+                          if refits.parted.get(names) is not refits.fits[names]), None)
+           ) is not None:
+        refits.parted[names] = refits.fits[names]
+        if len(names) > 1:
+            without(experiment, refits, names)
 
 
 def without(experiment: Experiment, refits: Refits, names: Names) -> None:
