@@ -12,7 +12,7 @@ from eha_monitor.mismatch.data.experiment import Experiment
 from eha_monitor.mismatch.data.inputs import FORCED
 from eha_monitor.mismatch.data.stretch import Stretch
 from eha_monitor.mismatch.diagnosis import Agreement, Gate, Overlay, SignalFit, Value
-from eha_monitor.mismatch.likelihood.along import filtered_tracks, signals_along
+from eha_monitor.mismatch.likelihood.along import filtered_tracks, played, signals_along
 from eha_monitor.mismatch.likelihood.fit import Fit, filtered, spread
 from eha_monitor.mismatch.likelihood.innovations import N_FILTERED
 from eha_monitor.mismatch.locate.terms import modelled_force
@@ -243,9 +243,7 @@ def force_residual(experiment: Experiment, fit: Fit) -> tuple[float, float]:
         return (fit.theta[s.M] * a + fit.theta[s.B] * v
                 + modelled_force(experiment, fit, track, names))
 
-    w = circuit_of(fit.theta, fit.active)
-    return force_left(experiment, w, modelled, lambda stretch: driving_force(
-        experiment, fit, stretch))
+    return force_left(experiment, fit, modelled)
 
 
 def baseline_residual(experiment: Experiment, of: Mapping[str, Baseline], after: Fit) -> float:
@@ -261,31 +259,29 @@ def baseline_residual(experiment: Experiment, of: Mapping[str, Baseline], after:
         return (first["M"].value * a + first["B"].value * v + first["F_0"].value
                 + first["F_c"].value * np.clip(v / max(standing, 1e-12), -1.0, 1.0))
 
-    return force_left(experiment, circuit_of(after.theta, after.active), modelled,
-                      lambda stretch: driving_force(experiment, after, stretch))[0]
+    return force_left(experiment, after, modelled)[0]
 
 
-def force_left(experiment: Experiment, w: np.ndarray, modelled: Callable, driving: Callable
-               ) -> tuple[float, float]:
+def force_left(experiment: Experiment, fit: Fit, modelled: Callable) -> tuple[float, float]:
     """Return rms of what a model leaves of the force on held-out samples, and of the force, N.
 
     Parameters
     ----------
-    w : constants of the sensors, as the model has them.
-    modelled : (stretch, x, v, a) -> (n,) N.  ``driving`` : stretch -> (n,) N.
+    fit : whose sensors and areas the measured force and motion are taken from.
+    modelled : (stretch, x, v, a) -> (n,) N.
     """
     dt = experiment.dt
     residuals, forces = [], []
     for stretch, mask in zip(experiment.stretches, unseen(experiment), strict=True):
         if not mask.any() or len(stretch) < 200:
             continue
-        stretch = righted(stretch, w, dt)
+        stretch = righted(experiment, fit, stretch)
         smooth = low_pass(min(DERIVATIVES, 0.2 / dt), dt)
         x = smooth(filled(stretch.z[:, 0]))
         v = np.gradient(x, dt)
         a = np.gradient(v, dt)
         both = low_pass(min(BALANCE, 0.1 / dt), dt)
-        force = both(driving(stretch))
+        force = both(driving_force(experiment, fit, stretch))
         moving = mask & (np.abs(v) > STANDING * np.quantile(np.abs(v), 0.998))
         residuals.append((force - both(modelled(stretch, x, v, a)))[moving])
         forces.append(force[moving])
@@ -294,11 +290,15 @@ def force_left(experiment: Experiment, w: np.ndarray, modelled: Callable, drivin
     return rms(np.concatenate(residuals)), rms(np.concatenate(forces))
 
 
-def righted(stretch: Stretch, w: np.ndarray, dt: float) -> Stretch:
-    """Return a stretch less what its sensors err by: scales, offsets, drifts, delays."""
+def righted(experiment: Experiment, fit: Fit, stretch: Stretch) -> Stretch:
+    """Return a stretch less what its sensors err by: scales, offsets, drifts, delays, play."""
+    w, dt = circuit_of(fit.theta, fit.active), experiment.dt
     t = np.arange(len(stretch)) * dt
     z = stretch.z.copy()
     z[:, 0] = np.interp(t + w[s.POSITION_DELAY], t, filled(z[:, 0])) / (1.0 + w[s.POSITION_SCALE])
+    if w[s.PLAY] > 0.0:  # where the sensor rests behind it, the filter says where the piston is
+        x = filtered(experiment, stretch, fit.theta, fit.active, fit.gains, states=True)[1][:, Y_X]
+        z[:, 0] += x - played(x, w[s.PLAY])
     pressures = [(np.interp(t + w[s.PRESSURE_DELAY], t, p) - w[offset] - w[drift] * t)
                  / (1.0 + w[scale]) for p, offset, drift, scale in (
         (stretch.p1, s.PRESSURE_OFFSET_1, s.PRESSURE_DRIFT_1, s.PRESSURE_SCALE_1),
