@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from mismatch_tools import case_of, fitted, recorded
+from mismatch_tools import case_of, diagnosed, fitted, recorded
 
 from eha_monitor.concealed.cases import Case
 from eha_monitor.mismatch.data.experiment import experiment_of
@@ -469,3 +469,11 @@ def test_a_soft_seal_is_found_with_its_micro_damping():
     damping = 0.6 * np.sqrt(20.0 * travel / level)
     for symbol, true in (("F_c", level), ("z_0", travel), ("t_1", damping)):
         assert soft.value(f"presliding_friction.{symbol}") == pytest.approx(true, rel=0.02)
+
+
+def test_backlash_shows_where_the_pressures_are_the_input():
+    """Position and two pressures alone: the sensor rests while the piston crosses the play."""
+    found = diagnosed("backlash", channels=("x", "p1", "p2"))
+    assert [one.name for one in found.effects] == ["backlash"]
+    assert found.effects[0].parameters["b"].value == pytest.approx(200e-6, rel=0.02)
+    assert found.effects[0].parameters["in_loop"].value == 0.0  # no loop that could tell

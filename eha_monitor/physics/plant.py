@@ -392,4 +392,5 @@ def advance_forced(actuator, t, k, u, pressures, step, equations):
         if any_memory:
             s[of.T], s[of.X], s[of.V] = t + (i + 1) * h, x, v
             effects.update_memory(s, theta, updates, h, memory)
-    y[Y_X], y[Y_V], y[Y_PLAYED] = x, v, x
+    y[Y_X], y[Y_V] = x, v
+    y[Y_PLAYED] = behind_play(x, y[Y_PLAYED], w[of.PLAY]) if w[of.PLAY] > 0.0 else x

@@ -31,7 +31,15 @@ from eha_monitor.physics.contributions import (
     with_term,
     with_update,
 )
-from eha_monitor.physics.signals import AREA_1, AREA_2, MAX_MEMORY, N_CONTRIBUTIONS, N_SIGNALS, M
+from eha_monitor.physics.signals import (
+    AREA_1,
+    AREA_2,
+    MAX_MEMORY,
+    N_CONTRIBUTIONS,
+    N_SIGNALS,
+    PLAY,
+    M,
+)
 
 FREE = -1.0  # role of a sample that corrects nothing
 SLID = 1.0  # m, without a reversal: no seal is still bent the other way
@@ -100,6 +108,8 @@ def innovate(record, step, theta, active, correction, actuator, e, states):
         t = k * dt
         if mode == FORCED:
             shown[0], shown[1] = y[plant.Y_X], y[plant.Y_V]
+            if w[PLAY] > 0.0:
+                shown[0] = plant.behind_play(shown[0], y[plant.Y_PLAYED], w[PLAY])
             shown[2] = shown[3] = shown[4] = math.nan
         else:
             plant.sense(actuator, t, step, w, shown)

@@ -138,7 +138,8 @@ def possible(name: str, experiment: Experiment) -> bool:
             and experiment.mode == FORCED:
         return False  # at a pressure that nobody knows it is Coulomb friction
     if effect.balance == "force":
-        return name != "backlash" or experiment.mode == CLOSED
+        # Where a drive tells the force, its encoder is on its own shaft.
+        return name != "backlash" or experiment.mode != FORCED or experiment.by_pressures
     if experiment.mode == FORCED:
         # Of two sensors one may be late.  A force that a drive tells is its own law's: on EMPS a
         # position 0.87 ms late took 17 % of the dry friction and 12 % of B with it.
@@ -157,6 +158,8 @@ def starts_of(name: str, experiment: Experiment) -> list[Start]:
     """Return where a fit of an effect begins, within its bounds."""
     effect = CATALOGUE[name]
     found, places = [], effect.starts(experiment.ranges)
+    if experiment.mode != CLOSED:  # no loop: what the drive reads cannot show
+        places = [one for one in places if not one.get("in_loop")] or places
     for given in places:
         values = []
         for p in effect.parameters:
