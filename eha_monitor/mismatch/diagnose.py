@@ -161,7 +161,9 @@ def _diagnosed(recordings: list[Recording], settings: Settings, held_out: Record
             raise np.linalg.LinAlgError("no filter runs on the nominal model")
         return by_first(first, started), None
     found = diagnosed(recordings, experiment, named, held_out, started, say, hypothesis)
-    if far and not (named and follows(named[1])) and explains_more(first, found):
+    # Where a filter leaves something, its names make up for laws that it does not have.
+    if far and not (named and follows(named[1])) and (
+            found.verdict == "mismatch" or explains_more(first, found)):
         return by_first(first, started), None
     # Innovations of another form than the config's laws are no mismatch of this machine, and no
     # balance is theirs.
@@ -209,10 +211,9 @@ def follows(naming: Naming) -> bool:
     It needs no unknown force, flow or speed that shows, or lacks no more of what the nominal
     model does than may be the form error of its laws.
     """
-    experiment = naming.experiment
-    return not lacks(experiment, naming.after) or (
-        lack_of(experiment, naming.after) <= experiment.policy.law * lack_of(
-            experiment, naming.before))
+    experiment, before = naming.experiment, lack_of(naming.experiment, naming.before)
+    return not lacks(experiment, naming.after) or bool(np.isfinite(before) and lack_of(
+        experiment, naming.after) <= experiment.policy.law * before)
 
 
 def named_in(experiment: Experiment, say: Report, first: Diagnosis | None = None,

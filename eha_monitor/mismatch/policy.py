@@ -38,9 +38,7 @@ class SearchPolicy:
     sure : standard deviations from which a difference, a sign or a bound is no noise.  Definition.
     worse : share of a signal or a parameter by which a difference is none.  Contract of the gate.
     timing : samples; shorter delays need no name.  Definition: nobody's stamps are better.
-    tolerance : share of a tolerance that is the deviation of a number nobody doubts.  Definition:
-        85 % of such numbers are within their tolerance.
-    wrong : of these deviations, that of a number which is wrong.  Definition: a factor of four
+    wrong : tolerances, the deviation of a number which is wrong.  Definition: a factor of four
         for one known to a tenth.
     spread : times its start, the prior deviation of an effect's size.  Derived: a start is about
         1 % of what the recording covers.
@@ -65,8 +63,7 @@ class SearchPolicy:
     sure: float = 3.0
     worse: float = 0.02
     timing: float = 0.05
-    tolerance: float = 0.7
-    wrong: float = 20.0
+    wrong: float = 14.0
     spread: float = 100.0
     shape: float = 1.5
     lacking: float = 1.0

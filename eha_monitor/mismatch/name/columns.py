@@ -109,7 +109,7 @@ def rig_free(experiment: Experiment, beside: Sequence[str] = ()) -> tuple[Free, 
     for place, key in BASE_KEYS.items():
         value = getattr(rig, key) if key in keys and RIG + key not in equal else None
         if value:
-            width = policy.tolerance * rig.tolerance.log_spread(key)
+            width = rig.tolerance.log_spread(key)
             reach = float(np.exp(policy.sure * width))  # what is further off is wrong
             found.append(Free(RIG + key, place, value / reach, value * reach,
                               float(np.log(value)), width, True))

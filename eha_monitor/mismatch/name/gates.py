@@ -98,6 +98,19 @@ def _curves(fit: Fit) -> Iterator[Gate]:
                        "none of them is")
 
 
+def shapes_at_bound(fit: Fit) -> list[Free]:
+    """Return the shapes of members that stand at an end of their range and have a default."""
+    found = []
+    for f in fit.free:
+        value = float(fit.theta[f.place])
+        if f.owner in fit.named and f.owner in CATALOGUE and at_bound(f, value) and (
+                not allowed_end(fit, f, value)):
+            own = next((p for p in CATALOGUE[f.owner].parameters if p.name == f.symbol), None)
+            if own is not None and own.default is not None:
+                found.append(f)
+    return found
+
+
 def ends_of_tolerance(fit: Fit) -> list[Free]:
     """Return the numbers of the rig that a fit has moved to the end of what their tolerance is."""
     return [f for f in fit.free if f.of_rig and f.name not in fit.named

@@ -13,7 +13,7 @@ from eha_monitor.mismatch.likelihood.fit import Fit, remade, spread, with_unknow
 from eha_monitor.mismatch.name.before import FirstView, informative
 from eha_monitor.mismatch.name.candidates import candidate
 from eha_monitor.mismatch.name.columns import FAR_OFF, LOOSE, rig_free
-from eha_monitor.mismatch.name.gates import ends_of_tolerance, failures
+from eha_monitor.mismatch.name.gates import ends_of_tolerance, failures, shapes_at_bound
 from eha_monitor.mismatch.name.polish import Slopes, polished
 from eha_monitor.mismatch.name.posterior import (
     STRAYED,
@@ -609,6 +609,10 @@ def gated(experiment: Experiment, refits: Refits) -> None:
         best = refits.best()
         fit = refits.fits[best]
         failed = failures(experiment, fit)
+        plain = at_defaults(experiment, fit) if failed else None
+        if plain is not None:
+            refits.add(experiment, best, plain, anyway=True)
+            continue
         if failed:
             refits.refused[best] = tuple(failed)
             for name in dict.fromkeys(gate.what for gate in failed):
@@ -629,6 +633,26 @@ def gated(experiment: Experiment, refits: Refits) -> None:
                              for one in fit.free)
                 refits.add(experiment, best | {f.name}, settled(experiment, replace(
                     fit, free=free, named=(*fit.named, f.name), converged=False)))
+
+
+def at_defaults(experiment: Experiment, fit: Fit) -> Fit | None:
+    """Return a fit whose shapes at an end of their range stay at their defaults instead.
+
+    None where none does, or where it loses more than ``sure`` deviations: of a little air a
+    recording does not say how it is compressed.
+    """
+    theta, ends = fit.theta.copy(), set()
+    for f in shapes_at_bound(fit):
+        own = next(p for p in CATALOGUE[f.owner].parameters if p.name == f.symbol)
+        theta[f.place] = own.default
+        ends.add(f.name)
+    if not ends:
+        return None
+    held = settled(experiment, with_unknowns(experiment, replace(
+        fit, theta=theta, free=tuple(f for f in fit.free if f.name not in ends),
+        converged=False)), worth=fit.log_likelihood - CLOSE)
+    lost = fit.log_likelihood - held.log_likelihood
+    return held if lost < 0.5 * experiment.policy.sure**2 else None
 
 
 def within_reach(refits: Refits) -> list[Names]:

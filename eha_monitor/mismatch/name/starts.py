@@ -189,6 +189,8 @@ def free_parameter(start: Start, p: Parameter) -> Free:
     if p.log:
         return Free(name, place, max(p.lower, value / spread), p.upper, float(np.log(value)),
                     float(np.log(spread)), True)
+    if p.unit == "1" and p.default is None:  # a share is no larger because more was recorded
+        return Free(name, place, p.lower, p.upper, p.neutral, p.scale)
     if p.default is None and np.isfinite(p.neutral):
         return Free(name, place, p.lower, p.upper, p.neutral,
                     max(spread * abs(value), 1e-3 * p.scale))

@@ -158,16 +158,13 @@ def posterior_covariance(experiment: Experiment, free: Sequence[Free], informati
 def prior_covariance(experiment: Experiment, free: Sequence[Free]) -> np.ndarray:
     """Return what is known of some numbers beforehand, (k, k) in the fitted coordinates.
 
-    A number of the rig is known to its tolerance, one standard deviation; the search holds it
-    closer, so that names compete.  What the config gives both chambers alike is one number with
-    one error: beta_e is no better known than the volume.
+    A number of the rig is known to its tolerance, one standard deviation.  What the config gives
+    both chambers alike is one number with one error: beta_e is no better known than the volume.
     """
-    tolerance, rig = experiment.settings.rig.tolerance, experiment.settings.rig
+    rig = experiment.settings.rig
     places = {f.symbol: i for i, f in enumerate(free)
               if f.of_rig}
     spread = np.array([f.spread for f in free])
-    for key, i in places.items():
-        spread[i] = max(spread[i], tolerance.log_spread(key))
     known = np.diag(spread**2)
     for one, other in TWICE:
         i, j = places.get(one), places.get(other)
