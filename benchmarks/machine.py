@@ -25,6 +25,7 @@ from eha_monitor.balances.baseline import baseline
 from eha_monitor.balances.candidates import Scale, candidates_of
 from eha_monitor.balances.course import course_of
 from eha_monitor.balances.machine import Machine, machine_from, rms
+from eha_monitor.balances.named import error_of_area
 from eha_monitor.balances.policy import POLICY
 from eha_monitor.balances.table import tables_of
 from eha_monitor.balances.together import Recordings, of_one_machine, unseen
@@ -147,7 +148,7 @@ def strangers(seed: int, rigs: int) -> dict:
                 reach = 2 * float(np.hypot(p.between, p.stddev))
                 if p.name == "B":  # as an answer states it: with the tolerance of the area
                     reach = float(np.hypot(
-                        reach, 2 * settings.rig.tolerance.log_spread("area_1") * p.value))
+                        reach, 2 * error_of_area(settings.rig) * p.value))
                     inside["B"].append(low - reach <= p.value <= high + reach)
                 if p.name == "D_p":
                     true = rig.plant.displacement_1

@@ -19,6 +19,7 @@ from eha_monitor.balances.named import (
     LINEAR,
     config_effects,
     effects_of,
+    error_of_area,
     made_by,
     wrong_numbers,
 )
@@ -281,8 +282,8 @@ def known_of(models: Sequence[Model], rig: Rig, policy: Policy, stiffness: Stiff
             if not np.isfinite(stddev) or not value > 0.0:
                 continue
             if name == "B":
-                area = rig.tolerance.log_spread("area_1") if rig.area_1 else 0.0
-                found["B"] = Value(value, float(np.hypot(stddev, area * value)), "N·s/m")
+                found["B"] = Value(
+                    value, float(np.hypot(stddev, error_of_area(rig) * value)), "N·s/m")
     modulus, stddev = stiffness.modulus
     if policy.sure(modulus, stddev):
         volume = rig.tolerance.log_spread("volume_1")

@@ -119,6 +119,11 @@ def _effect(name: str, terms: Sequence[Term], model: Model, rig: Rig, held: Mapp
         effective_samples=model.effective, stability=max(first.stability, 0.0))
 
 
+def error_of_area(rig: Rig) -> float:
+    """Return the share by which a force may be wrong that the areas make of the pressures."""
+    return rig.tolerance.log_spread("area_1") if rig.area_1 else 0.0
+
+
 def shown_as(term: Term, model: Model, rig: Rig) -> tuple[str, Value]:
     """Return the parameter of the catalogue that a term is, and its value there.
 
@@ -131,7 +136,7 @@ def shown_as(term: Term, model: Model, rig: Rig) -> tuple[str, Value]:
     if c.name == "C_x" and soft is not None and soft.value > 0.0 and rig.volume_1:
         factor = rig.volume_1 / soft.value
         return "A_v", Value(factor * term.value, factor * term.stddev, "m²")
-    area = rig.tolerance.log_spread("area_1") if model.balance == "force" and rig.area_1 else 0.0
+    area = error_of_area(rig) if model.balance == "force" else 0.0
     return c.symbol or c.name, Value(
         term.value, float(np.hypot(term.stddev, area * term.value)), c.unit)
 

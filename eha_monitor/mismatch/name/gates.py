@@ -18,6 +18,7 @@ from eha_monitor.mismatch.diagnosis import Gate
 from eha_monitor.mismatch.likelihood.along import contributed, filtered_tracks
 from eha_monitor.mismatch.likelihood.fit import Fit, Free
 from eha_monitor.physics import signals as s
+from eha_monitor.physics.effect import Parameter
 from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.physics.parameters import place_of
 from eha_monitor.quantity import quantity
@@ -67,15 +68,22 @@ def failures(experiment: Experiment, fit: Fit) -> list[Gate]:
     return [*_bounds(fit), *_within(experiment, fit), *_curves(fit), *_signs(experiment, fit)]
 
 
-def _bounds(fit: Fit) -> Iterator[Gate]:
+def _at_ends(fit: Fit) -> Iterator[tuple[Free, Parameter | None]]:
+    """Yield what stands at an end where it may not, of members; None for a number of the rig."""
     for f in fit.free:
-        owner, value = f.owner, float(fit.theta[f.place])
-        if owner not in fit.named or not at_bound(f, value) or allowed_end(fit, f, value):
-            continue
-        unit = next((p.unit.replace("*", "·") for p in CATALOGUE[owner].parameters
-                     if p.name == f.symbol), "") if owner in CATALOGUE else ""
-        yield Gate("bound", owner, f"{f.name} stands at {quantity(value, unit, 3)}, the end of "
-                                   "its range: the fit is no optimum")
+        if f.owner in fit.named and at_bound(f, value := float(fit.theta[f.place])) and (
+                not allowed_end(fit, f, value)):
+            entry = CATALOGUE.get(f.owner)
+            yield f, next((p for p in entry.parameters if p.name == f.symbol), None) \
+                if entry else None
+
+
+def _bounds(fit: Fit) -> Iterator[Gate]:
+    for f, own in _at_ends(fit):
+        unit = own.unit.replace("*", "·") if own else ""
+        yield Gate("bound", f.owner, f"{f.name} stands at "
+                   f"{quantity(float(fit.theta[f.place]), unit, 3)}, the end of its range: the "
+                   "fit is no optimum")
 
 
 def _within(experiment: Experiment, fit: Fit) -> Iterator[Gate]:
@@ -98,17 +106,9 @@ def _curves(fit: Fit) -> Iterator[Gate]:
                        "none of them is")
 
 
-def shapes_at_bound(fit: Fit) -> list[Free]:
-    """Return the shapes of members that stand at an end of their range and have a default."""
-    found = []
-    for f in fit.free:
-        value = float(fit.theta[f.place])
-        if f.owner in fit.named and f.owner in CATALOGUE and at_bound(f, value) and (
-                not allowed_end(fit, f, value)):
-            own = next((p for p in CATALOGUE[f.owner].parameters if p.name == f.symbol), None)
-            if own is not None and own.default is not None:
-                found.append(f)
-    return found
+def shapes_at_bound(fit: Fit) -> list[tuple[Free, float]]:
+    """Return the shapes of members that stand at an end of their range, with their defaults."""
+    return [(f, own.default) for f, own in _at_ends(fit) if own and own.default is not None]
 
 
 def ends_of_tolerance(fit: Fit) -> list[Free]:

@@ -641,15 +641,14 @@ def at_defaults(experiment: Experiment, fit: Fit) -> Fit | None:
     None where none does, or where it loses more than ``sure`` deviations: of a little air a
     recording does not say how it is compressed.
     """
-    theta, ends = fit.theta.copy(), set()
-    for f in shapes_at_bound(fit):
-        own = next(p for p in CATALOGUE[f.owner].parameters if p.name == f.symbol)
-        theta[f.place] = own.default
-        ends.add(f.name)
+    ends, theta = shapes_at_bound(fit), fit.theta.copy()
     if not ends:
         return None
+    for f, default in ends:
+        theta[f.place] = default
+    gone = {f.name for f, _ in ends}
     held = settled(experiment, with_unknowns(experiment, replace(
-        fit, theta=theta, free=tuple(f for f in fit.free if f.name not in ends),
+        fit, theta=theta, free=tuple(f for f in fit.free if f.name not in gone),
         converged=False)), worth=fit.log_likelihood - CLOSE)
     lost = fit.log_likelihood - held.log_likelihood
     return held if lost < 0.5 * experiment.policy.sure**2 else None
