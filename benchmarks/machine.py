@@ -25,6 +25,7 @@ from eha_monitor.balances.baseline import baseline
 from eha_monitor.balances.candidates import Scale, candidates_of
 from eha_monitor.balances.course import course_of
 from eha_monitor.balances.machine import Machine, machine_from, rms
+from eha_monitor.balances.model import of_machine
 from eha_monitor.balances.named import error_of_area
 from eha_monitor.balances.policy import POLICY
 from eha_monitor.balances.table import tables_of
@@ -138,21 +139,25 @@ def strangers(seed: int, rigs: int) -> dict:
         except InputError as problem:
             print(problem)
             continue
+        courses = machine.moved([course_of(one, settings) for one, _ in made])
         for one in machine.balances:
+            model = of_machine(one, courses, settings.rig, machine.scale, POLICY)
             print(f"  {rig.name} {rig.kind} {rig.law}: {one.balance} "
-                  + ", ".join(f"{p.name} {p.value:.4g} ± {p.stddev:.2g}" for p in one.parameters)
+                  + ", ".join(f"{p.name} {p.value:.4g} ± {model[p.name].stddev:.2g}"
+                              for p in one.parameters)
                   + f"; error {one.unexplained:.3f}, reference {rms(one.reference):.3f}; B "
                   f"{low:.0f} to {high:.0f}, effects "
                   + ", ".join(e["name"] for e in truths[0]["effects"]))
             for p in one.parameters:
-                reach = 2 * float(np.hypot(p.between, p.stddev))
-                if p.name == "B":  # as an answer states it: with the tolerance of the area
-                    reach = float(np.hypot(
-                        reach, 2 * error_of_area(settings.rig) * p.value))
+                # As an answer states it: with what no longer record tells, the area's tolerance.
+                term = model[p.name]
+                reach = 2 * float(np.linalg.norm((term.between, term.stddev, error_of_area(
+                    settings.rig, one.balance) * p.value)))
+                if p.name == "B":
                     inside["B"].append(low - reach <= p.value <= high + reach)
                 if p.name == "D_p":
                     true = rig.plant.displacement_1
-                    inside["D_p"].append(abs(p.value - true) <= max(reach, 0.01 * true))
+                    inside["D_p"].append(abs(p.value - true) <= reach)
             for s in one.settings:
                 if s.name == "F_0":
                     inside["F_0"] += [abs(v - t["load"]) <= max(2 * d, 0.02 * abs(t["load"]))

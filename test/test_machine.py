@@ -15,6 +15,7 @@ from eha_monitor.balances.changed import against
 from eha_monitor.balances.course import course_of
 from eha_monitor.balances.discrepancy import learned
 from eha_monitor.balances.judge import judge
+from eha_monitor.balances.least_squares import random_effects
 from eha_monitor.balances.machine import load, save
 from eha_monitor.balances.policy import POLICY
 from eha_monitor.balances.table import tables_of
@@ -96,6 +97,43 @@ def test_spread_between_recordings_is_found():
     assert between == pytest.approx(3.0, rel=0.15)
     assert abs(value - 10.0) < 3.0 * stddev and stddev == pytest.approx(3.2 / 20.0, rel=0.2)
     assert pooled(np.full(8, 2.0), np.full(8, 0.1), np.nan)[1] == 0.0
+
+
+def test_random_effects_are_the_closed_form_of_a_balanced_design():
+    each, sigma = np.random.default_rng(1).normal(5.0, 2.0, 12), 0.5
+    grams, sides = np.full((12, 1, 1), sigma**-2), (each / sigma**2)[:, None]
+    value, between, stddev = random_effects(grams, sides, np.zeros(1), np.zeros(1), np.ones(1))
+    assert value[0] == pytest.approx(each.mean(), rel=1e-9)
+    assert between[0] == pytest.approx(np.sqrt(each.var(ddof=1) - sigma**2), rel=0.01)
+    assert stddev[0] == pytest.approx(each.std(ddof=1) / np.sqrt(12), rel=0.02)
+
+
+def test_what_no_recording_tells_alone_all_of_them_do():
+    # Each at one speed of its own: B and a load are one number there, and two over all of them.
+    rng, speeds, sigma = np.random.default_rng(2), np.linspace(0.1, 0.3, 9), 0.1
+    rows = np.column_stack([speeds, np.ones(9)])
+    y = rows @ [300.0, 20.0] + sigma * rng.standard_normal(9)
+    grams = rows[:, :, None] * rows[:, None, :] / sigma**2
+    value, _, stddev = random_effects(grams, rows * y[:, None] / sigma**2, np.zeros(2),
+                                      np.zeros(2), np.array([60.0, 4.0]))
+    assert value == pytest.approx([300.0, 20.0], abs=3.0 * stddev.max())
+    assert stddev == pytest.approx(np.sqrt(np.diag(np.linalg.inv(grams.sum(axis=0)))), rel=0.6)
+
+
+def test_a_number_that_differs_between_recordings_is_not_the_joint_fits():
+    # As B with its oil: a shared B would make friction bend to hold the differences.
+    rng, v = np.random.default_rng(3), np.linspace(-0.1, 0.1, 200)
+    rows, bend = np.column_stack([v, np.sign(v)]), 40.0 * np.sign(v) * np.exp(-np.abs(v) / 0.03)
+    own = 3000.0 + 200.0 * rng.standard_normal(8)
+    y = [b * v + 80.0 * np.sign(v) + bend + 0.05 * rng.standard_normal(200) for b in own]
+    whole = np.array([rows.T @ rows] * 8) / 0.05**2
+    sides = np.array([rows.T @ one for one in y]) / 0.05**2
+    alone = np.array([np.linalg.solve(g, s) for g, s in zip(whole, sides, strict=True)])
+    value, between, stddev = random_effects(whole, sides, np.ones(2), np.zeros(2),
+                                            np.array([600.0, 16.0]))
+    assert value == pytest.approx(alone.mean(axis=0), rel=1e-3)
+    assert between[0] == pytest.approx(own.std(ddof=1), rel=0.02)
+    assert stddev[0] == pytest.approx(own.std(ddof=1) / np.sqrt(8), rel=0.02)
 
 
 def test_gain_is_a_log_ratio_with_its_t():

