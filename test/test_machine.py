@@ -101,8 +101,8 @@ def test_spread_between_recordings_is_found():
 
 def test_random_effects_are_the_closed_form_of_a_balanced_design():
     each, sigma = np.random.default_rng(1).normal(5.0, 2.0, 12), 0.5
-    grams, sides = np.full((12, 1, 1), sigma**-2), (each / sigma**2)[:, None]
-    value, between, stddev = random_effects(grams, sides, np.zeros(1), np.zeros(1), np.ones(1))
+    products = np.column_stack([each, np.ones(12)])[:, None, :] / sigma**2
+    value, between, stddev = random_effects(products, np.zeros(1), np.zeros(1), np.ones(1))
     assert value[0] == pytest.approx(each.mean(), rel=1e-9)
     assert between[0] == pytest.approx(np.sqrt(each.var(ddof=1) - sigma**2), rel=0.01)
     assert stddev[0] == pytest.approx(each.std(ddof=1) / np.sqrt(12), rel=0.02)
@@ -113,9 +113,9 @@ def test_what_no_recording_tells_alone_all_of_them_do():
     rng, speeds, sigma = np.random.default_rng(2), np.linspace(0.1, 0.3, 9), 0.1
     rows = np.column_stack([speeds, np.ones(9)])
     y = rows @ [300.0, 20.0] + sigma * rng.standard_normal(9)
-    grams = rows[:, :, None] * rows[:, None, :] / sigma**2
-    value, _, stddev = random_effects(grams, rows * y[:, None] / sigma**2, np.zeros(2),
-                                      np.zeros(2), np.array([60.0, 4.0]))
+    products = rows[:, :, None] * np.column_stack([y, rows])[:, None, :] / sigma**2
+    value, _, stddev = random_effects(products, np.zeros(2), np.zeros(2), np.array([60.0, 4.0]))
+    grams = products[:, :, 1:]
     assert value == pytest.approx([300.0, 20.0], abs=3.0 * stddev.max())
     assert stddev == pytest.approx(np.sqrt(np.diag(np.linalg.inv(grams.sum(axis=0)))), rel=0.6)
 
@@ -126,10 +126,9 @@ def test_a_number_that_differs_between_recordings_is_not_the_joint_fits():
     rows, bend = np.column_stack([v, np.sign(v)]), 40.0 * np.sign(v) * np.exp(-np.abs(v) / 0.03)
     own = 3000.0 + 200.0 * rng.standard_normal(8)
     y = [b * v + 80.0 * np.sign(v) + bend + 0.05 * rng.standard_normal(200) for b in own]
-    whole = np.array([rows.T @ rows] * 8) / 0.05**2
-    sides = np.array([rows.T @ one for one in y]) / 0.05**2
-    alone = np.array([np.linalg.solve(g, s) for g, s in zip(whole, sides, strict=True)])
-    value, between, stddev = random_effects(whole, sides, np.ones(2), np.zeros(2),
+    products = np.array([rows.T @ np.column_stack([one, rows]) for one in y]) / 0.05**2
+    alone = np.array([np.linalg.solve(one[:, 1:], one[:, 0]) for one in products])
+    value, between, stddev = random_effects(products, np.ones(2), np.zeros(2),
                                             np.array([600.0, 16.0]))
     assert value == pytest.approx(alone.mean(axis=0), rel=1e-3)
     assert between[0] == pytest.approx(own.std(ddof=1), rel=0.02)

@@ -38,6 +38,7 @@ class Name:
     named : it is an answer, as far from absent as :attr:`Policy.owed` says; else it corrects the
         form, or belongs to every model.
     rivals : effects that fit as well in its place.
+    whole : (value, deviation) of the quantity that it is a part of, the sum of its terms.
     """
 
     term: str
@@ -49,6 +50,7 @@ class Name:
     gained: float
     named: bool
     rivals: tuple[str, ...]
+    whole: tuple[float, float]
 
 
 @dataclass(frozen=True)
@@ -126,10 +128,11 @@ class _Choice:
         values, chance = covariance_by_chance(table, kept)
         covariance = chance + form_and_doubts(table, kept, error, policy)
         families = {self.of[name].kind for name in kept}
+        wholes = wholes_of([self.of[name] for name in kept], values, covariance)
         stddev = np.hypot(np.sqrt(np.diag(covariance)), between_forms(
             self.of, self.allowed, kept, self.unseen, lambda names: self.parameters(names)[0],
             policy))
-        for name, value, total in zip(kept, values, stddev.tolist(), strict=True):
+        for name, value, total, whole in zip(kept, values, stddev.tolist(), wholes, strict=True):
             one = self.of[name]
             if one.always:  # no half says whether it is there: its own value does
                 frequency, gained = 1.0, 0.0
@@ -146,7 +149,8 @@ class _Choice:
                 policy.probability(frequency, apart),
                 gained, name in named and apart > policy.owed,
                 tuple(e for e in rivals.get(one.kind, ()) if e not in {
-                    self.of[other].effect for other in kept} and one.kind in families)))
+                    self.of[other].effect for other in kept} and one.kind in families),
+                whole or (value, total)))
         return Alone(tuple(found), tuple(refused), table.effective, error, nominal)
 
     def stable(self) -> tuple[list[str], dict[str, float], dict[str, tuple[str, ...]]]:
@@ -301,6 +305,22 @@ def between_forms(of: Mapping[str, Candidate], allowed: Sequence[str], kept: Seq
                     found[i] = values[i]  # another quantity
                 moved.append(found - values)
     return np.max(np.abs(moved), axis=0)
+
+
+def wholes_of(terms: Sequence[Candidate], values: Sequence[float], covariance: np.ndarray
+              ) -> list[tuple[float, float] | None]:
+    """Return the sum and its deviation of the quantity of each term; None of one with no other.
+
+    Two shapes of a seal's friction are one force, and how they share it nobody asks.
+    """
+    found: list[tuple[float, float] | None] = []
+    for one in terms:
+        own = [i for i, other in enumerate(terms)
+               if other.quantity == one.quantity and other.unit == one.unit]
+        found.append(None if len(own) == 1 else (
+            float(np.sum(np.asarray(values)[own])),
+            float(np.sqrt(covariance[np.ix_(own, own)].sum()))))
+    return found
 
 
 def parameters_of(table: Table, names: Sequence[str], held: dict[str, float] | None = None

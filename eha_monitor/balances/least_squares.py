@@ -59,8 +59,8 @@ def signed_solution(gram: np.ndarray, side: np.ndarray, signs: np.ndarray,
     return w / size
 
 
-def random_effects(grams: np.ndarray, sides: np.ndarray, signs: np.ndarray, least: np.ndarray,
-                   start: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def random_effects(products: np.ndarray, signs: np.ndarray, least: np.ndarray, start: np.ndarray
+                   ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the mean of parameters that differ from recording to recording, spread, deviations.
 
     w_i ~ N(w, T), T diagonal (Laird, Ware 1982), and each recording says of its own w_i no more
@@ -73,8 +73,8 @@ def random_effects(grams: np.ndarray, sides: np.ndarray, signs: np.ndarray, leas
 
     Parameters
     ----------
-    grams, sides : (r, k, k), (r, k) products over each recording's variance of an independent
-        sample.
+    products : (r, k, 1 + k) of each recording's columns with its y and themselves, over the
+        variance of an independent sample.
     signs, least : (k,) as of :func:`signed_solution`.
     start : (k,) spread with which the iteration begins, SI, > 0.
 
@@ -86,6 +86,7 @@ def random_effects(grams: np.ndarray, sides: np.ndarray, signs: np.ndarray, leas
     k = len(start)
     if not k:
         return (np.zeros(0),) * 3
+    grams, sides = products[:, :, 1:], products[:, :, 0]
     size = np.sqrt(np.maximum(grams.sum(axis=0).diagonal(), 1e-300))
     grams, sides = grams / np.outer(size, size), sides / size
     spread = np.maximum(start * size, 1.0)

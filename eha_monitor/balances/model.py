@@ -17,6 +17,7 @@ from eha_monitor.balances.alone import (
     alone,
     form_and_doubts,
     parameters_of,
+    wholes_of,
 )
 from eha_monitor.balances.candidates import Candidate, Scale, candidates_of
 from eha_monitor.balances.course import Course
@@ -43,6 +44,8 @@ class Term:
     gained : log units that the balance loses without it.
     named : it is an answer.
     rivals : effects that do as well in its place.
+    whole : (value, stddev) of the quantity that it is a part of, the sum of its terms; of a
+        setting's number by how much it is usually off nil.  None: its own.
     """
 
     candidate: Candidate
@@ -55,6 +58,12 @@ class Term:
     gained: float = 0.0
     named: bool = False
     rivals: tuple[str, ...] = ()
+    whole: tuple[float, float] | None = None
+
+    @property
+    def quantity(self) -> tuple[float, float]:
+        """Value and deviation of what it is, or is a part of."""
+        return self.whole or (self.value, self.stddev)
 
 
 @dataclass(frozen=True)
@@ -170,7 +179,8 @@ def _terms_alone(whole: Table, found: Alone, count: int, policy: Policy) -> tupl
     for name in found.names:
         if name not in loads:
             terms.append(Term(of[name.term], name.value, name.stddev, 0.0, (), name.probability,
-                              name.frequency, name.gained, name.named, name.rivals))
+                              name.frequency, name.gained, name.named, name.rivals,
+                              name.whole))
     if loads:
         values = [name.value for name in loads]
         stddev = float(np.sqrt(np.mean([name.stddev**2 for name in loads])))
@@ -185,7 +195,8 @@ def _terms_alone(whole: Table, found: Alone, count: int, policy: Policy) -> tupl
             replace(one, name="F_0"), float(np.mean(values)), stddev, 0.0,
             tuple(values) if count > 1 and len(loads) > 1 else (), policy.certain, 1.0,
             whole.effective * float(np.log(both[1] / both[0])), named,
-            _instead(whole, rest, both[0], LOAD, policy) if named else ()))
+            _instead(whole, rest, both[0], LOAD, policy) if named else (),
+            (rms(values), stddev)))
     return tuple(terms)
 
 
@@ -245,6 +256,7 @@ def of_machine(one: MachineBalance, courses: Sequence[Course], rig: Rig, scale: 
     forms = one.form_of
     sizes = [rms(np.atleast_1d(found[name].value)) for name in own]
     covariance = lasting + np.diag([rms(np.atleast_1d(found[name].stddev)) ** 2 for name in own])
+    wholes = dict(zip(own, wholes_of([of[name] for name in own], sizes, covariance), strict=True))
     load = "F_0" if "F_0" in one.terms else ""
     if load:
         gained, t = together.gain(
@@ -271,7 +283,9 @@ def of_machine(one: MachineBalance, courses: Sequence[Course], rig: Rig, scale: 
             1.0 if family is None else sure,
             0.0 if family is None else family.gain * one.effective,
             family is not None and shows and (not c.always or p.name == load),
-            () if family is None else family.rivals))
+            () if family is None else family.rivals,
+            wholes[p.name] or (None if shared else (rms(values), float(np.hypot(
+                rms(p.stddev), biases[p.name]))))))
     shared = {p.name: p.value for p in one.parameters}
     weights = tuple(shared | {s.name: s.value[i] for s in one.settings}
                     for i in range(len(tables)))

@@ -35,7 +35,7 @@ def effects_of(model: Model, rig: Rig, policy: Policy, held: Effects) -> list[Na
     """
     named = [t for t in model.terms if (t.named or _leaks_more(t, policy))
              and t.candidate.name not in LINEAR and not _within_tolerance(t, rig, policy)
-             and policy.sure(t.value, t.stddev)]
+             and policy.sure(*t.quantity)]
     groups: dict[str, list[Term]] = {}
     for term in named:
         groups.setdefault(term.candidate.effect, []).append(term)
@@ -53,7 +53,8 @@ def _surest(groups: dict[str, list[Term]], policy: Policy) -> dict[str, list[Ter
     it is, each says for itself.
     """
     def sure(name: str) -> float:
-        return max(abs(t.value) / t.stddev if t.stddev else np.inf for t in groups[name])
+        return max(abs(value) / stddev if stddev else np.inf
+                   for value, stddev in (t.quantity for t in groups[name]))
 
     best: dict[str, float] = {}
     for name, terms in groups.items():
@@ -88,8 +89,9 @@ def _effect(name: str, terms: Sequence[Term], model: Model, rig: Rig, held: Mapp
     for term in terms:
         symbol, value = shown_as(term, model, rig)
         if symbol in values:  # dry friction of two shapes is one force
-            value = Value(values[symbol].value + value.value,
-                          float(np.hypot(values[symbol].stddev, value.stddev)), value.unit)
+            whole, stddev = term.quantity
+            value = Value(whole, float(np.hypot(
+                stddev, error_of_area(rig, model.balance) * whole)), value.unit)
         values[symbol] = value
     had = []
     for symbol in values.keys() & held.keys():

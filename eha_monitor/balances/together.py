@@ -320,16 +320,19 @@ class Recordings:
         shared, settings, bounds = self.split(names)
         w, reduced = self.shared_fit(names)
         each, stddev = (np.empty((len(self.tables), len(shared))) for _ in range(2))
-        grams, sides = [], []
+        chance, whole = [], []
         for i, (table, own) in enumerate(zip(self.tables, reduced, strict=True)):
             each[i] = signed_solution(own[1:, 1:], own[1:, 0], *bounds)
             left = max(own[0, 0] - own[1:, 0] @ each[i], 0.0)
             scale = max(left / max(table.effective - len(names), 1.0), 1e-300)
             stddev[i] = np.sqrt(np.diag(inverse_of(own[1:, 1:])) * scale)
-            grams.append(own[1:, 1:] / scale)
-            sides.append(own[1:, 0] / scale)
-        value, between, mean_stddev = random_effects(
-            np.array(grams), np.array(sides), *bounds, POLICY.between * np.abs(w))
+            # What no longer record takes away (form_and_doubts) is of each recording its own.
+            form = POLICY.coherent**2 * max(left - table.n * table.weight * table.floor**2, 0.0)
+            chance.append(own[1:] / scale)
+            whole.append(own[1:] / (scale + form))
+        start = POLICY.between * np.abs(w)
+        _, between, _ = random_effects(np.array(chance), *bounds, start)
+        value, _, mean_stddev = random_effects(np.array(whole), *bounds, start)
         setting, setting_stddev = self.settings_of(shared, settings, value)
         of = self.tables[0].candidates
         return Fitted(tuple(of[i - 1].name for i in shared),
