@@ -144,14 +144,16 @@ def entry(name: str, balance: str, parameters: dict[str, float]) -> dict:
 
 
 def leak_shows(rig: StrangerRig) -> bool:
-    """Tell whether a leak to ambient lowers the mean pressure by more than the sheet allows.
+    """Tell whether a leak to ambient leaves a mean pressure beyond what the source may have.
 
     The chambers settle where make-up and leak are equal, at G / (G + L) of the source's pressure,
     which its owner knows to a tolerance; who knows of no make-up path expects no pressure.
     """
     c = rig.plant
     leak = 0.5 * (c.case_leakage + c.case_leakage_2)
-    return rig.sheet.makeup > 0.0 and math.log1p(leak / c.makeup) > SURE * ERRORS["charge"]
+    level = c.reservoir * c.makeup / max(c.makeup + leak, 1e-300)
+    return leak > 0.0 and rig.sheet.makeup > 0.0 and (
+        math.log(rig.sheet.charge / level) > SURE * ERRORS["charge"])
 
 
 def beside_of(rig: StrangerRig) -> list[dict]:

@@ -304,6 +304,11 @@ def between_forms(of: Mapping[str, Candidate], allowed: Sequence[str], kept: Seq
                 if form[i] != name and of[other].unit != of[name].unit:
                     found[i] = values[i]  # another quantity
                 moved.append(found - values)
+    kinds, grow = {of[name].kind for name in kept}, np.array([of[name].power > 0 for name in kept])
+    for name in FIRST_VIEW:  # damping takes up what of them a motion does not show
+        if name in allowed and of[name].kind not in kinds and unseen([*kept, name]) <= most:
+            found = np.asarray(parameters([*kept, name]))[: len(kept)]
+            moved.append(np.where(grow, found - values, 0.0))
     return np.max(np.abs(moved), axis=0)
 
 

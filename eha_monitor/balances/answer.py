@@ -223,12 +223,25 @@ def _composed(models: Sequence[Model], courses: Sequence[Course], settings: Sett
         curves=curves, overlays=tuple(o for one in models if (o := overlay_of(one)) is not None),
         # What a balance lacks bends its own parameter; least squares on the other do not see it.
         health=tuple(sentence for name, value in before.items() for sentence in health_sentences(
-            {name: value}, after, [e for e in effects if e.balance == BALANCE_OF[name]])),
+            {name: value}, after, [e for e in effects if e.balance == BALANCE_OF[name]])
+        ) + _warmed(models, policy),
         config_effects=config_effects(models, effects, settings),
         probability={"consistent": np.nan, "unexplained": np.nan}, rig_data=wrong,
         fitted=_fitted(models, after, effects, wrong), gates=tuple(
             Gate(one.gate, one.what, one.statement) for model in models
             for one in model.refused))
+
+
+def _warmed(models: Sequence[Model], policy: Policy) -> tuple[str, ...]:
+    """Return by how much damping changes from the start to the end of a recording, in words."""
+    drift = next((term for one in models if (term := one["B_t"]) is not None), None)
+    if drift is None or not policy.sure(*drift.quantity):
+        return ()
+    ends = [2.0 * value for value in drift.each or (drift.value,)]
+    word = "falls" if np.mean(ends) < 0.0 else "rises"
+    sizes = [quantity(abs(end), drift.candidate.unit, 2) for end in (min(ends), max(ends))]
+    return (f"viscous damping {word} by {' to '.join(dict.fromkeys(sizes))} within the "
+            f"recording{'s' if drift.each else ''}, as it does in oil that warms or cools",)
 
 
 def _unsure_words(one: Model) -> str:

@@ -128,7 +128,7 @@ def founded(names: Iterable[str], of: Mapping[str, Candidate]) -> list[str]:
     """Return the terms that stand by themselves, or on another of the terms.
 
     Friction that falls with speed is not the whole of a seal's friction: without the part that
-    stays, a wide fall takes the place of viscous damping.
+    stays, a wide fall takes the place of viscous damping.  Nor is air all that gives way.
     """
     names = list(names)
     grounds = {of[name].family for name in names if not of[name].upon}
@@ -255,6 +255,8 @@ def force_candidates(scale: Scale, rig: Rig) -> tuple[Candidate, ...]:
     found = [
         one("B", "viscous_damping", "N·s/m", "viscous damping", 1, lambda c, r: c.v,
             always=True, power=1.0, of_oil=True),
+        one("B_t", "viscous_drift", "N·s/m", "viscous damping beyond the mean at the end", 0,
+            lambda c, r: c.v * later(c), setting=True, power=1.0),
         one("F_0", "constant_load", "N", "constant load", 0, lambda c, r: np.ones(len(c)),
             always=True, setting=scale.turns, symbol="F_0", odd=False),
         one("F_c", "coulomb_friction", "N", "dry friction", 1, lambda c, r: c.direction,
@@ -312,6 +314,16 @@ def force_candidates(scale: Scale, rig: Rig) -> tuple[Candidate, ...]:
             lambda c, r, i=i: np.cos(i * np.pi * (c.x - origin) / scale.span),
             family="position", odd=False))
     return tuple(found)
+
+
+def later(course: Course) -> np.ndarray:
+    """Return time from -1 to 1 or so about the middle of a motion, (m,): oil warms as it goes.
+
+    About the mean of v^2, so that damping at the middle is damping without a drift.
+    """
+    t, weight = np.arange(len(course), dtype=float), np.where(course.good, course.v**2, 0.0)
+    t -= float(weight @ t) / max(float(weight.sum()), 1e-300)
+    return t / max(0.5 * len(t), 1.0)
 
 
 def valves(course: Course, rig: Rig) -> bool:
@@ -394,7 +406,7 @@ def flow_candidates(scale: Scale, rig: Rig) -> tuple[Candidate, ...]:
             lambda c, r: -pressure_rate(c), family="compliance", power=1.0),
         one("alpha", "entrained_air", "1", "share of air, at atmospheric pressure", 1, _air,
             family="compliance", symbol="alpha", shape=(("n", AIR_EXPONENT),), power=1.0,
-            limit=0.5),
+            limit=0.5, upon="compliance"),
         one("C_x", "position_dependent_volume", "m²/Pa", "compliance over the stroke", 0,
             _over_stroke, family="compliance", odd=False, power=1.0),
         # A leakage that the config gives is known to a factor: that is free in every model.

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from eha_monitor import ties
-from eha_monitor.balances.candidates import SIDES
+from eha_monitor.balances.candidates import DRY, SIDES
 from eha_monitor.balances.model import Model, Term
 from eha_monitor.balances.policy import Policy
 from eha_monitor.mismatch.diagnosis import NamedEffect, RigFinding, Value
@@ -16,7 +16,7 @@ from eha_monitor.settings.monitor import Settings
 from eha_monitor.settings.rig import Rig
 
 FORCE_OF_SENSORS = ("pressure_offset", "pressure_scale")  # they make a constant force as well
-LINEAR = ("B", "D_p", "C_h", "k_d")  # what the config's own model has
+LINEAR = ("B", "B_t", "D_p", "C_h", "k_d")  # what the config's own model has; its oil warms
 TWINS = {"mass": ("pressure_delay",), "pump_displacement": ("pump_flow_gain",),
          "position_gain": ("drive_gain",)}
 DRY_SYMBOLS = {"F_c", "F_d"}
@@ -29,13 +29,16 @@ Effects = Mapping[str, Mapping[str, float]]
 def effects_of(model: Model, rig: Rig, policy: Policy, held: Effects) -> list[NamedEffect]:
     """Return the named terms of a balance as effects; one that contains another holds both.
 
+    A name has a number that is surely not nil; dry friction is named as a family, of which one
+    shape may stand for another.
+
     Parameters
     ----------
     held : effects of the config, which the terms add to.
     """
     named = [t for t in model.terms if (t.named or _leaks_more(t, policy))
              and t.candidate.name not in LINEAR and not _within_tolerance(t, rig, policy)
-             and policy.sure(*t.quantity)]
+             and (t.candidate.family == DRY or policy.sure(*t.quantity))]
     groups: dict[str, list[Term]] = {}
     for term in named:
         groups.setdefault(term.candidate.effect, []).append(term)
