@@ -43,7 +43,7 @@ from eha_monitor.mismatch.diagnosis import (
     Value,
     health_sentences,
 )
-from eha_monitor.quantity import quantity, share
+from eha_monitor.quantity import quantity, share, with_uncertainty
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings.hypothesis import Hypothesis
 from eha_monitor.settings.monitor import Settings
@@ -233,15 +233,14 @@ def _composed(models: Sequence[Model], courses: Sequence[Course], settings: Sett
 
 
 def _warmed(models: Sequence[Model], policy: Policy) -> tuple[str, ...]:
-    """Return by how much damping changes from the start to the end of a recording, in words."""
+    """Return by how much damping changes from start to end of a recording, usually, in words."""
     drift = next((term for one in models if (term := one["B_t"]) is not None), None)
     if drift is None or not policy.sure(*drift.quantity):
         return ()
-    ends = [2.0 * value for value in drift.each or (drift.value,)]
-    word = "falls" if np.mean(ends) < 0.0 else "rises"
-    sizes = [quantity(abs(end), drift.candidate.unit, 2) for end in (min(ends), max(ends))]
-    return (f"viscous damping {word} by {' to '.join(dict.fromkeys(sizes))} within the "
-            f"recording{'s' if drift.each else ''}, as it does in oil that warms or cools",)
+    by = 2.0 * float(np.median(drift.each or (drift.value,)))
+    return (f"viscous damping {'falls' if by < 0.0 else 'rises'} by "
+            f"{with_uncertainty(abs(by), 2.0 * drift.quantity[1], drift.candidate.unit)} within "
+            f"{'the usual' if drift.each else 'the'} recording, as in oil that warms or cools",)
 
 
 def _unsure_words(one: Model) -> str:
