@@ -21,6 +21,7 @@ from strangers.generate import record as recorded
 from strangers.generate import truth_of
 
 from eha_monitor.balances.alone import alone
+from eha_monitor.balances.answer import answered
 from eha_monitor.balances.baseline import baseline
 from eha_monitor.balances.candidates import Scale, candidates_of
 from eha_monitor.balances.course import course_of
@@ -121,13 +122,18 @@ def on_the_other_day(machine: Machine, courses: list, settings) -> dict:
 
 
 def strangers(seed: int, rigs: int) -> dict:
-    """Return how many numbers of strangers' rigs are inside two deviations."""
-    inside: dict[str, list[bool]] = {key: [] for key in ("first", "B", "D_p", "F_0")}
+    """Return shares of numbers inside two deviations and of right names, by the balances alone."""
+    inside: dict[str, list[bool]] = {key: [] for key in (
+        "first", "B", "D_p", "F_0", "names_alone", "names_together")}
     for i in range(rigs):
         rig = draw_rig(seed, i)
         made = [recorded(rig, setting, seed + k) for k, setting in enumerate(rig.settings)]
         truths = [truth_of(rig, setting) for setting in rig.settings]
         settings = made[0][1]
+        inside["names_alone"] += [named_rightly([one], truth, settings)
+                                  for (one, _), truth in zip(made, truths, strict=True)]
+        inside["names_together"].append(named_rightly([one for one, _ in made], truths[0],
+                                                      settings))
         low, high = (f(value for one in truths for value in one["B_span"]) for f in (min, max))
         for (recording, _), truth in zip(made, truths, strict=True):
             force = baseline(recording, settings).force
@@ -163,6 +169,17 @@ def strangers(seed: int, rigs: int) -> dict:
                     inside["F_0"] += [abs(v - t["load"]) <= max(2 * d, 0.02 * abs(t["load"]))
                                       for v, d, t in zip(s.value, s.stddev, truths, strict=True)]
     return {key: (100 * np.mean(rows), len(rows)) for key, rows in inside.items()}
+
+
+def named_rightly(recordings: list, truth: dict, settings) -> bool:
+    """Tell whether an answer names what is there, each within its class, and nothing else."""
+    answer = answered(recordings, settings)
+    off = {one["key"] for one in truth["rig_off"] if abs(one["tolerances"]) > 2.0}
+    names = {one.name for one in answer.effects} | ({one.key for one in answer.rig_data} - off)
+    wanted = [set(one["class"]) for one in truth["effects"]]
+    allowed = set().union(*wanted, *(one["class"] for one in truth["beside"]))
+    return answer.verdict != "unexplained" and names <= allowed and all(
+        names & one for one in wanted)
 
 
 def machine_of(recordings: list, settings, vary: tuple[str, ...] = ()) -> Machine:

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from pydantic import TypeAdapter
 
-from eha_monitor.balances.alone import FIRST_VIEW, Refused, between_forms
+from eha_monitor.balances.alone import FIRST_VIEW, Refused, between_forms, form_and_doubts
 from eha_monitor.balances.candidates import (
     Candidate,
     Scale,
@@ -343,11 +343,15 @@ def _balance(kind: str, courses: Sequence[Course], scale: Scale, rig: Rig,
     parameters = tuple(
         Parameter(name, of[name].effect, of[name].words, of[name].unit, *map(float, row))
         for name, *row in zip(fit.names, fit.value, between, fit.stddev, strict=True))
+    # The area and the form of the laws are common to all recordings: no load varies by them.
+    lasting = np.array([np.sqrt(np.diag(form_and_doubts(table, fit.settings, error, policy)))
+                        for table, error in zip(tables, chosen.errors, strict=True)])
     settings = tuple(
         Setting(name, of[name].effect, of[name].words, of[name].unit, tuple(value.tolist()),
-                tuple(stddev.tolist()), varies(value, stddev, float(np.median(sizes)), policy))
-        for name, value, stddev in zip(fit.settings, fit.setting.T, fit.setting_stddev.T,
-                                       strict=True))
+                tuple(np.hypot(stddev, more).tolist()),
+                varies(value, stddev, float(np.median(sizes)), policy))
+        for name, value, stddev, more in zip(fit.settings, fit.setting.T, fit.setting_stddev.T,
+                                             lasting.T, strict=True))
     weights = dict(zip(fit.names, fit.value.tolist(), strict=True))
     usual, loose = usual_of(settings, of)
     weights |= usual
