@@ -9,7 +9,13 @@ import numpy as np
 from eha_monitor.balances import places
 from eha_monitor.balances.advice import advice_of
 from eha_monitor.balances.baseline import baseline
-from eha_monitor.balances.candidates import SIDES, Scale, balances_in, candidate_of
+from eha_monitor.balances.candidates import (
+    SIDES,
+    Scale,
+    balances_in,
+    candidate_of,
+    candidates_of,
+)
 from eha_monitor.balances.course import Course, course_of, courses_of
 from eha_monitor.balances.machine import Machine, machine_from, pressure_varied, rms
 from eha_monitor.balances.mean_pressure import leak_or_source
@@ -25,6 +31,7 @@ from eha_monitor.balances.named import (
 )
 from eha_monitor.balances.parameters import Stiffness, stiffness_of
 from eha_monitor.balances.policy import POLICY, Policy
+from eha_monitor.balances.table import pooled_table, tables_of
 from eha_monitor.balances.together import of_one_machine
 from eha_monitor.errors import InputError
 from eha_monitor.mismatch.diagnosis import (
@@ -150,6 +157,23 @@ def force_is_closed(found: Diagnosis, policy: Policy = POLICY) -> bool:
     """
     force = found.signals.get("force")
     return force is not None and force.after_rms <= policy.clean * force.noise_rms
+
+
+def force_left(recordings: Sequence[Recording], settings: Settings, policy: Policy = POLICY
+               ) -> float:
+    """Return the rms of the force that the config's own model leaves on unseen parts, N.
+
+    B and the constant load are fitted there.
+
+    Raises
+    ------
+    InputError
+        If a recording has no force balance.
+    """
+    rig, courses = settings.rig, courses_of(recordings, settings)[1]
+    base = tuple(one for one in candidates_of("force", Scale.of(courses), rig) if one.always)
+    whole = pooled_table(tables_of(courses, rig, "force", base, policy))
+    return whole.rms(whole.crosswise([*whole.places])) * whole.size
 
 
 def leaves_more(before: float, after: float, policy: Policy) -> bool:

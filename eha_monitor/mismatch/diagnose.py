@@ -14,6 +14,7 @@ from eha_monitor.balances.answer import (
     far_from_config,
     first_answer,
     force_is_closed,
+    force_left,
 )
 from eha_monitor.balances.baseline import baseline
 from eha_monitor.balances.course import TRAVEL
@@ -162,8 +163,8 @@ def _diagnosed(recordings: list[Recording], settings: Settings, held_out: Record
         return by_first(first, started), None
     found = diagnosed(recordings, experiment, named, held_out, started, say, hypothesis)
     # Where a filter leaves something, its names make up for laws that it does not have.
-    if far and not (named and follows(named[1])) and (
-            found.verdict == "mismatch" or explains_more(first, found)):
+    if far and (explains_more(first, found, recordings if held_out is None else [held_out], held)
+                or (found.verdict == "mismatch" and not (named and follows(named[1])))):
         return by_first(first, started), None
     # Innovations of another form than the config's laws are no mismatch of this machine, and no
     # balance is theirs.
@@ -186,14 +187,20 @@ def by_first(first: Diagnosis, started: float) -> Diagnosis:
     return replace(first, advice=(*notes, *first.advice), wall_s=time.perf_counter() - started)
 
 
-def explains_more(first: Diagnosis, found: Diagnosis, policy: Policy = POLICY) -> bool:
+def explains_more(first: Diagnosis, found: Diagnosis, recordings: list[Recording],
+                  settings: Settings, policy: Policy = POLICY) -> bool:
     """Tell whether what the balances name leaves less of the force on unseen data.
 
-    By more than ``worse`` of it: the gate that an answer by a filter owes to least squares.
+    By more than ``worse`` of it, both as a balance in its band: the gate that an answer by a
+    filter owes to least squares.
     """
-    here, there = first.signals.get("force"), found.signals.get("force")
-    return here is not None and there is not None and (
-        there.after_rms - here.after_rms > policy.worse * here.signal_rms)
+    force = first.signals.get("force")
+    if force is None:
+        return False
+    numbers = {one.key: one.found.value for one in (*found.rig_within, *found.rig_data)}
+    answer = settings.model_copy(update={
+        "effects": found.config_effects, "rig": settings.rig.model_copy(update=numbers)})
+    return force_left(recordings, answer) - force.after_rms > policy.worse * force.signal_rms
 
 
 def followed_by(experiment: Experiment, say: Report, first: Diagnosis | None, may_end: bool
