@@ -206,12 +206,14 @@ class Recordings:
         names = [one.name for one in self.candidates.values() if one.always]
         allowed = [name for name in allowed if name not in names]
         errors = self.errors(names)
-        tried = set()
-        while len(names) < MOST_TERMS and tuple(sorted(names)) not in tried:
-            tried.add(tuple(sorted(names)))
-            best = None
+        tried: dict[tuple[str, ...], str] = {}  # set -> the term that entered it
+        spent: set[str] = set()  # what entered led back to where it had been
+        while len(names) < MOST_TERMS:
+            here, best = tuple(sorted(names)), None
+            if here in tried:
+                spent.add(tried[here])
             for name in allowed:
-                if name in names or self._has_variant(name, names) or (
+                if name in names or name in spent or self._has_variant(name, names) or (
                         name not in founded([*names, name], self.candidates)):
                     continue
                 with_it = self.errors([*names, name])
@@ -221,6 +223,7 @@ class Recordings:
                     best = name, mean, with_it
             if best is None:
                 break
+            tried[here] = best[0]
             names, errors = self._pruned([*names, best[0]], best[2], policy)
             names, errors = self._reshaped(names, errors, allowed)
         return Chosen(tuple(names), errors, self._named(names, errors, allowed, policy))
