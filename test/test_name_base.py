@@ -11,7 +11,7 @@ from eha_monitor.mismatch.name.columns import columns_at, placed, rig_free, runs
 from eha_monitor.mismatch.name.gram import grams_of
 from eha_monitor.mismatch.name.polish import Slopes, polished
 from eha_monitor.mismatch.name.rank import best_over, ranked_at
-from eha_monitor.mismatch.name.refit import evidence_of, joined
+from eha_monitor.mismatch.name.refit import evidence_of, joined, kept_within
 from eha_monitor.mismatch.name.starts import (
     LEAST_SHARE,
     base_free,
@@ -85,6 +85,17 @@ def test_a_size_enters_no_nearer_to_nothing_than_it_shows(clean):
     for amplitude, wanted in ((2.0, 2.0), (1e-6, LEAST_SHARE), (-1.0, LEAST_SHARE)):
         fit = with_effect(clean.before, start, (amplitude,))
         assert fit.theta[place] == pytest.approx(wanted * whole)
+
+
+@pytest.mark.parametrize(("difference", "begins"), [(5.0, 1.8), (-5.0, -1.8), (-1.0, -1.0)])
+def test_a_guess_stays_within_its_law(clean, difference, begins):
+    theta = clean.experiment.theta.copy()
+    whole, part = (place_of(f"asymmetric_friction.{name}") for name in ("F_c", "dF"))
+    theta[whole], theta[part] = 2.0, difference  # friction takes power in both directions
+    kept_within(theta, "asymmetric_friction")
+    assert theta[part] == pytest.approx(begins) and theta[whole] == 2.0
+    kept_within(theta, "coulomb_friction")  # a law without parts
+    assert theta[part] == pytest.approx(begins)
 
 
 def test_every_start_is_within_the_bounds_of_its_effect(clean):
