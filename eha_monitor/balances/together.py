@@ -12,6 +12,7 @@ the rest.  A term enters with the largest mean of d_i = ln(e_i / e_i with it), i
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -274,11 +275,15 @@ class Recordings:
         return bool((np.abs(w) <= reach).all()) and not (
             self._absent(with_it) - self._absent(names))
 
+    @cached_property
+    def of_one_oil(self) -> "Recordings":
+        """The same recordings with what goes with the viscosity shared."""
+        return Recordings(self.tables) if self.own_oil else self
+
     def _absent(self, names: list[str]) -> set[str]:
         """Return the machine's terms, of one oil, that physics' sign holds at nothing."""
-        one_oil = Recordings(self.tables) if self.own_oil else self
-        w, _ = one_oil.shared_fit(names)
-        shared, _, (signs, least) = one_oil.split(names)
+        w, _ = self.of_one_oil.shared_fit(names)
+        shared, _, (signs, least) = self.of_one_oil.split(names)
         of = self.tables[0].candidates
         return {of[i - 1].name for i, value, sign, low in zip(shared, w, signs, least, strict=True)
                 if sign and value == low}

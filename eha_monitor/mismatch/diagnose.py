@@ -163,8 +163,9 @@ def _diagnosed(recordings: list[Recording], settings: Settings, held_out: Record
         return by_first(first, started), None
     found = diagnosed(recordings, experiment, named, held_out, started, say, hypothesis)
     # Where a filter leaves something, its names make up for laws that it does not have.
-    if far and (explains_more(first, found, recordings if held_out is None else [held_out], held)
-                or (found.verdict == "mismatch" and not (named and follows(named[1])))):
+    led_astray = found.verdict == "mismatch" and not (named and follows(named[1]))
+    if far and (led_astray or explains_more(
+            first, found, recordings if held_out is None else [held_out], held)):
         return by_first(first, started), None
     # Innovations of another form than the config's laws are no mismatch of this machine, and no
     # balance is theirs.
