@@ -51,6 +51,8 @@ class Parameter:
     neutral : value of a size at which the effect is absent.
     fitted : False keeps a shape at its default when the effect is fitted.
     log : a size that is fitted as its logarithm: what it does is not proportional to it.
+    resolved : integration steps that a time lasts at least: the equations leave out what is
+        shorter, so in a fit its range ends there.
     """
 
     name: str
@@ -63,6 +65,7 @@ class Parameter:
     neutral: float = 0.0
     fitted: bool = True
     log: bool = False
+    resolved: float = 0.0
 
 
 @dataclass(frozen=True)

@@ -1,5 +1,6 @@
 """A fit carried to its optimum with few runs of the filter."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -20,6 +21,8 @@ from eha_monitor.mismatch.likelihood.fit import (
 from eha_monitor.mismatch.name.columns import ALWAYS, Columns
 from eha_monitor.mismatch.name.gram import under
 from eha_monitor.physics.contributions import with_place
+from eha_monitor.physics.effects import CATALOGUE
+from eha_monitor.physics.parameters import place_of
 from eha_monitor.physics.signals import B
 
 # Of a step: shorter first, because inside a threshold the direction is right and the length not.
@@ -41,6 +44,21 @@ def coarse(experiment: Experiment, active: np.ndarray) -> Experiment:
     least = damping_steps(experiment.settings, 2.0 * experiment.theta[B], experiment.dt)
     steps = max(int(np.ceil(experiment.steps / COARSER)), int(np.ceil(0.75 * least)), 1)
     return replace(experiment, steps=min(steps, experiment.steps))
+
+
+def keep_within(theta: np.ndarray, named: Sequence[str]) -> None:
+    """Write laws within their limits: |dF| <= F_c.
+
+    Beyond, a law is cut off: friction of F_c + dF in positive motion and of F_c - dF < 0 in
+    negative motion is one of F_c + dF and of none.  Written as such, with the same sum and F_c =
+    dF, it does the same, but a step leads back.
+    """
+    for name in named:
+        for part, whole in CATALOGUE[name].within if name in CATALOGUE else ():
+            at, of = place_of(f"{name}.{part}"), place_of(f"{name}.{whole}")
+            if abs(theta[at]) > theta[of]:
+                half = 0.5 * (abs(theta[at]) + theta[of])
+                theta[at], theta[of] = np.copysign(half, theta[at]), half
 
 
 class Slopes:
@@ -142,6 +160,7 @@ def _polished(experiment: Experiment, fit: Fit, known: dict[str, np.ndarray], st
             other = theta.copy()
             for f, value in zip(free, now + step, strict=True):
                 other[f.place] = f.outward(value)
+            keep_within(other, fit.named)
             moved = innovations(experiment, other, fit.active, fit.gains)
             reached = log_likelihood_of(moved) + prior_exponent(free, other)
             if reached > best:

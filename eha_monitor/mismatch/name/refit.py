@@ -22,7 +22,7 @@ from eha_monitor.mismatch.name.columns import (
     runs_of,
 )
 from eha_monitor.mismatch.name.gram import evidences_at
-from eha_monitor.mismatch.name.polish import ROUGHLY, Slopes, polished, polished_on
+from eha_monitor.mismatch.name.polish import ROUGHLY, Slopes, keep_within, polished, polished_on
 from eha_monitor.mismatch.name.rank import Ranked
 from eha_monitor.mismatch.name.starts import (
     LEAST_SHARE,
@@ -42,7 +42,6 @@ from eha_monitor.physics.parameters import BASE_KEYS, effect_values, place_of
 FIRST = 100.0  # times the smallest unknowns: where a nominal model begins
 SHARES = (1.0, 0.3)  # of the way to a linear guess
 SHORTER = (0.1, 0.03, 0.01)  # where no model can run there
-PART = 0.9  # of F_c, the most that its difference begins with
 FARTHEST = 6.0  # of a logarithm: how far a number of the rig is moved by a linear guess
 WRONG_BY = 1e3  # how far a number of the rig may be off; what is less is absent
 QUICK = 10  # steps of a first look
@@ -226,8 +225,7 @@ def joined(experiment: Experiment, fit: Fit, what: tuple[Column, ...], ranked: R
                 theta[place_of(name)] = value
         free = [f for f in free if f.owner != member.owner] + list(free_of(start))
         named = (*named, member.owner)
-    for name in named:
-        kept_within(theta, name)
+    keep_within(theta, named)
     for f in timing_free(experiment):  # what is named no more may err a little again
         if f.owner not in named and all(one.name != f.name for one in free):
             free.append(f)
@@ -241,16 +239,6 @@ def joined(experiment: Experiment, fit: Fit, what: tuple[Column, ...], ranked: R
         theta[f.place] = f.outward(f.inward(theta[f.place]))
     return remade(experiment, fit, theta=theta, active=active, free=tuple(free), named=named,
                   unknowns=ranked.gram.unknowns)
-
-
-def kept_within(theta: np.ndarray, name: str) -> None:
-    """Keep the parts of a law within what they are parts of, as physics has it: |dF| <= F_c.
-
-    A linear guess may lie beyond, where the law is cut off and no step leads back.
-    """
-    for part, whole in getattr(CATALOGUE.get(name), "within", ()):
-        at, most = place_of(f"{name}.{part}"), PART * abs(theta[place_of(f"{name}.{whole}")])
-        theta[at] = min(max(theta[at], -most), most)
 
 
 def informed(experiment: Experiment, what: tuple[Column, ...], ranked: Ranked) -> list[Free]:

@@ -458,8 +458,10 @@ def nominal(experiment: Experiment) -> tuple[Experiment, Fit]:
 def crossed(fit: Fit, best: Fit) -> Fit | None:
     """Return a model that starts where the best one stands, with its own effect of one kind.
 
-    Rivals of one family share their shapes; each is judged from the same place.  None where the
-    two do not differ by one effect of a family.
+    Rivals of one family share their shapes, and sizes of one name; each is judged from the same
+    place.  What a law has beyond one that it contains begins at nothing: from elsewhere it may end
+    where friction acts in one direction only.  None where the two do not differ by one effect of
+    a family.
     """
     mine, other = set(fit.named) - set(best.named), set(best.named) - set(fit.named)
     if len(mine) != 1 or len(other) != 1:
@@ -469,12 +471,14 @@ def crossed(fit: Fit, best: Fit) -> Fit | None:
         return None
     theta = fit.theta.copy()
     there = {f.name: f for f in best.free}
+    beyond = {p.name: p.neutral for p in one.sizes if two.name in one.contains and not p.log}
     for f in fit.free:
         own = f.owner == one.name
         same = there.get(f"{two.name}.{f.symbol}" if own else f.name)
-        size = own and f.symbol in {p.name for p in one.sizes}
-        if same is not None and not size:
+        if same is not None:
             theta[f.place] = f.outward(f.inward(best.theta[same.place]))
+        elif own and f.symbol in beyond:
+            theta[f.place] = f.outward(beyond[f.symbol])
     return replace(fit, theta=theta)
 
 
@@ -692,7 +696,9 @@ def finish(experiment: Experiment, refits: Refits) -> None:
                 refits.add(experiment, swapped, settled(
                     experiment, simplified(experiment, lead, name, other), worth=worth))
     # That nothing is missing is never judged by half a fit.
-    near = list(dict.fromkeys([*within_reach(refits)[:FINALISTS], frozenset[str]()]))
+    able = within_reach(refits)
+    more = [names for names in able[FINALISTS:] if plainer_of(refits, names) is not None]
+    near = list(dict.fromkeys([*able[:FINALISTS], *more, frozenset[str]()]))
     level = refits.fits[refits.best()].unknowns
     lead = refits.fits[refits.likeliest(near)]
     worth = lead.log_likelihood - CLOSE
@@ -703,7 +709,7 @@ def finish(experiment: Experiment, refits: Refits) -> None:
             fit = with_unknowns(experiment, fit, level)
         whole = fit if fit.converged and fit is refits.fits[names] else settled(
             experiment, fit, worth=worth)
-        other = crossed(fit, lead)
+        other = crossed(fit, plainer_of(refits, names) or lead)
         if other is None:
             return whole
         other = settled(experiment, with_unknowns(experiment, other, level),
@@ -712,6 +718,14 @@ def finish(experiment: Experiment, refits: Refits) -> None:
 
     for names, fit in zip(near, spread(ended, near), strict=True):
         refits.add(experiment, names, fit)
+
+
+def plainer_of(refits: Refits, names: Names) -> Fit | None:
+    """Return the likeliest fit of a set with a law in one's place that this one contains."""
+    found = [refits.fits[some] for name in sorted(names & CATALOGUE.keys())
+             for other in CATALOGUE[name].contains
+             if (some := names - {name} | {other}) in refits.fits]
+    return ties.best(found, lambda fit: fit.log_likelihood, within=ties.GUESS) if found else None
 
 
 def lack_of(experiment: Experiment, fit: Fit) -> float:

@@ -29,6 +29,7 @@ class Start:
     replaces : named effect that it contains and takes the place of, or "".
     among : how many starts the effect has.
     policy : how wide its numbers' priors are.
+    step : of the integration, s: what lasts less is not resolved.
     """
 
     effect: str
@@ -36,6 +37,7 @@ class Start:
     replaces: str = ""
     among: int = 1
     policy: SearchPolicy = POLICY
+    step: float = 0.0
 
 
 def base_free(experiment: Experiment) -> tuple[Free, ...]:
@@ -167,7 +169,8 @@ def starts_of(name: str, experiment: Experiment) -> list[Start]:
             if np.isfinite(value):  # a limit that is not there stays at infinity
                 value = min(max(value, p.lower), p.upper)
             values.append((p.name, float(value)))
-        found.append(Start(name, tuple(values), "", len(places), experiment.policy))
+        found.append(Start(name, tuple(values), "", len(places), experiment.policy,
+                           experiment.dt / experiment.steps))
     return found
 
 
@@ -187,8 +190,8 @@ def free_parameter(start: Start, p: Parameter) -> Free:
     name, value = f"{start.effect}.{p.name}", dict(start.values)[p.name]
     place, spread = place_of(name), start.policy.spread
     if p.log:
-        return Free(name, place, max(p.lower, value / spread), p.upper, float(np.log(value)),
-                    float(np.log(spread)), True)
+        return Free(name, place, max(p.lower, p.resolved * start.step, value / spread), p.upper,
+                    float(np.log(value)), float(np.log(spread)), True)
     if p.unit == "1" and p.default is None:  # a share is no larger because more was recorded
         return Free(name, place, p.lower, p.upper, p.neutral, p.scale)
     if p.default is None and np.isfinite(p.neutral):

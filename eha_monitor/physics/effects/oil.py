@@ -137,7 +137,7 @@ LINE_DYNAMICS = Effect(
     "Watton 2009, Ch. 4",
     parameters=(
         Parameter("T_l", "s", "one over the line's natural frequency in rad/s, chambers blocked "
-                  "at constant pressure", 0.0, 0.5, 1e-3, log=True),
+                  "at constant pressure", 0.0, 0.5, 1e-3, log=True, resolved=SHORTEST),
         Parameter("zeta", "1", "damping ratio of the line", 0.005, 5.0, 0.2, 0.2),
         Parameter("Z", "Pa*s/rad", "impedance of the line to pump speed, D_p sqrt(2 beta_e I/V_l)",
                   1.0, 1e7, 1e4, 1e4),
