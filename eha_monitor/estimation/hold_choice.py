@@ -42,6 +42,7 @@ from eha_monitor.recordings.columns import let_go, mapped
 from eha_monitor.recordings.grid import filled
 from eha_monitor.recordings.recording import ChannelFinding, Recording
 from eha_monitor.settings.monitor import Settings
+from eha_monitor.settings.rig import Rig
 
 LASTS = 0.02  # s that an unknown force or flow lasts
 SETTLES = 0.2  # s until the filter has found the state
@@ -375,6 +376,7 @@ CLEARLY = 2.0 * DECISIVE
 COINCIDENCE = 8.0  # log units that a delay must gain: it could have any length
 BEYOND = 1e15  # SI
 FINEST = 1e-15  # least noise of a sensor, SI
+TOLERANCES = 3.0  # of the config's gain: one that is further off is wrong, and to be named
 UNSURE = 4.0  # times the usual variance of the input
 SMOOTH_S, SMOOTHED = 0.012, 7  # s and least samples over which velocity is taken
 IDEAL, BLOCK = 1.5, 16  # variance over that of the noise, sample by sample and in means
@@ -535,8 +537,12 @@ def asked_of(recording: Recording, settings: Settings) -> Asked | None:
     recorded, _ = without_spikes(dict(part.channels), noise)
     circuit = circuit_of(*theta_of(rig, settings.effects))
     channels, noise = undo_sensors(recorded, noise, circuit, dt * (start + np.arange(length)))
-    if commanded and not follows(channels, noise, rig.position_gain):
+    gain = gain_followed(channels, noise, rig) if commanded else None
+    if commanded and gain is None:
         channels = {name: values for name, values in channels.items() if name != "x_d"}
+    elif commanded:
+        settings = with_gain(settings, gain)
+        rig = settings.rig
     if missing(settings, channels)[1] is not None:
         return None  # the pump does not do as told, and what it does is not recorded
     by_demand = "x_d" in channels and rig.position_gain is not None
@@ -548,6 +554,41 @@ def asked_of(recording: Recording, settings: Settings) -> Asked | None:
     sigma = noise["x"].value * abs(rig.position_gain) if by_demand else noise["omega"].value
     return Asked(stretches_of(channels, noise, settings, continuous, sigma, dt), continuous,
                  sampled, "x_d" if by_demand else "omega")
+
+
+def at_followed_gain(recording: Recording, settings: Settings) -> Settings:
+    """Return the settings with the K_pos that the pump follows in a recording, where it does."""
+    if settings.rig.position_gain is None or not recording.has("x_d", "omega"):
+        return settings
+    noise = noise_levels(recording, settings.noise)
+    channels, _ = without_spikes(dict(recording.channels), noise)
+    gain = gain_followed(channels, noise, settings.rig)
+    return settings if gain is None else with_gain(settings, gain)
+
+
+def with_gain(settings: Settings, gain: float) -> Settings:
+    """Return the settings with this K_pos, rad/(s m)."""
+    rig = settings.rig
+    return settings if gain == rig.position_gain else settings.model_copy(
+        update={"rig": rig.model_copy(update={"position_gain": gain})})
+
+
+def gain_followed(channels: dict[str, np.ndarray], noise: dict[str, NoiseEstimate], rig: Rig
+                  ) -> float | None:
+    """Return the K_pos that the pump follows at each stamp, rad/(s m); None where it follows none.
+
+    That is the config's, or speed over position error by least squares within ``TOLERANCES`` of
+    it: the config knows it to a few per cent, such a recording to a thousandth.
+    """
+    if follows(channels, noise, rig.position_gain):
+        return rig.position_gain
+    error, omega = channels["x_d"] - channels["x"], channels["omega"]
+    rows = np.isfinite(error) & np.isfinite(omega)
+    power = float(error[rows] @ error[rows])
+    gain = float(error[rows] @ omega[rows]) / power if power > 0.0 else 0.0
+    off = np.log(max(gain / rig.position_gain, FINEST))
+    within = abs(off) <= TOLERANCES * rig.tolerance.log_spread("position_gain")
+    return gain if within and follows(channels, noise, gain) else None
 
 
 def follows(channels: dict[str, np.ndarray], noise: dict[str, NoiseEstimate],

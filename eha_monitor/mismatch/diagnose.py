@@ -42,10 +42,11 @@ from eha_monitor.mismatch.learn.validated import (
     validated_term,
 )
 from eha_monitor.mismatch.likelihood.along import filtered_tracks
-from eha_monitor.mismatch.likelihood.fit import Fit, with_unknowns
+from eha_monitor.mismatch.likelihood.fit import Fit, spread, with_unknowns
 from eha_monitor.mismatch.locate import location as locate
 from eha_monitor.mismatch.locate.terms import BALANCES, missing_terms
 from eha_monitor.mismatch.name.before import FirstView, at_its_angle, informative
+from eha_monitor.mismatch.name.columns import effects_of
 from eha_monitor.mismatch.name.naming import Naming, beyond_form, name_effects, on_all_of
 from eha_monitor.mismatch.name.refit import looked
 from eha_monitor.mismatch.name.select import (
@@ -54,6 +55,7 @@ from eha_monitor.mismatch.name.select import (
     lacks,
     nominal_model,
 )
+from eha_monitor.mismatch.name.starts import without_effect
 from eha_monitor.mismatch.name.unnamed import INTERMITTENT
 from eha_monitor.mismatch.policy import SearchPolicy
 from eha_monitor.mismatch.show import held_out as show
@@ -261,8 +263,9 @@ def nominal_of(windows: Experiment) -> Fit | None:
 def gained_under(other: Experiment, found: Fit | None) -> float:
     """Return by how much a set fits better under another hold than where it was found, log units.
 
-    The likelier of it and the nominal model there, after a first look: what is missing beside the
-    set may be what was taken for a hold (a position that is read late).
+    The likeliest of it, of it without one of its effects and of the nominal model there, after a
+    first look: what is missing beside the set may be what was taken for a hold (a position that is
+    read late), and an effect of it may be the hold (a line that delays the flow).
 
     Parameters
     ----------
@@ -276,7 +279,9 @@ def gained_under(other: Experiment, found: Fit | None) -> float:
     bare = nominal_of(windows)
     if found is None:
         return 0.0 if bare is None else np.inf
-    there = [looked(windows, with_unknowns(windows, found)), *filter(None, [bare])]
+    sets = [found, *(without_effect(windows, found, name) for name in effects_of(found))]
+    there = [*spread(lambda one: looked(windows, with_unknowns(windows, one)), sets),
+             *filter(None, [bare])]
     best = max(there, key=each)
     return float((each(best) - each(found)) * np.isfinite(best.e).sum())
 

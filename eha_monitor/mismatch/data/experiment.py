@@ -6,6 +6,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from eha_monitor.errors import InputError
+from eha_monitor.estimation.hold_choice import at_followed_gain
 from eha_monitor.estimation.rig_model import force_of
 from eha_monitor.estimation.sensors import noise_levels, quantum, without_spikes
 from eha_monitor.mismatch.data.inputs import (
@@ -119,6 +120,8 @@ def experiment_of(recordings: list[Recording], settings: Settings,
     """
     first = recordings[0]
     mode = mode_of(first, settings)
+    if mode == OPEN:  # a number of the loop that this input does not leave open
+        settings = at_followed_gain(sample_of(first), settings)
     theta, active = theta_of(settings.rig, settings.effects)
     wanted = mode == CLOSED and wants_speed(first)
     if wanted:
