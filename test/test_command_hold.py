@@ -15,8 +15,9 @@ from hold_parts.plant import PHYSICS, Motion, Noise, Rig, recorded
 
 from eha_monitor.errors import InputError
 from eha_monitor.estimation.drive import hold_of
-from eha_monitor.estimation.hold_choice import resolved
+from eha_monitor.estimation.hold_choice import gain_followed, resolved
 from eha_monitor.estimation.pipeline import estimate
+from eha_monitor.estimation.results import NoiseEstimate
 from eha_monitor.live.estimator import LiveEstimator
 from eha_monitor.mismatch.advise.separate import simulated
 from eha_monitor.mismatch.data.experiment import experiment_of
@@ -42,6 +43,28 @@ def run(rig: Rig, rate: float, digital: bool, motion: Motion = RICH, every: int 
 def off(parameter, truth: float) -> float:
     """Standard deviations between an estimate and the truth."""
     return abs(parameter.value - truth) / parameter.stddev
+
+
+@pytest.mark.parametrize(("off_by", "found"), [(1.0, 1.0), (1.04, 1.0), (0.95, 1.0),
+                                               (1.2, None), (0.5, None)])
+def test_the_gain_is_what_the_pump_follows_within_its_tolerance(off_by, found):
+    rng, gain, rows = np.random.default_rng(4), 23000.0, 4000
+    t = 1e-3 * np.arange(rows)
+    error, noise = 1e-3 * np.sin(7.0 * t), {"x": 2e-6, "omega": 0.1}
+    channels = {"x_d": error, "x": noise["x"] * rng.standard_normal(rows)}
+    channels["omega"] = gain * (error - channels["x"]) + noise["omega"] * rng.standard_normal(rows)
+    channels["omega"][100:110] = np.nan
+    rig = settings_from_tree({"rig": {"position_gain": off_by * gain}}, "test").rig
+    levels = {name: NoiseEstimate(value, "config") for name, value in noise.items()}
+    told = gain_followed(channels, levels, rig)
+    if found is None:  # a gain that is wrong is a finding, and not put right in silence
+        assert told is None
+    elif off_by == 1.0:  # the config's, to the last bit
+        assert told == gain
+    else:
+        assert told == pytest.approx(gain, rel=1e-3)
+    without = {name: values for name, values in channels.items() if name != "omega"}
+    assert gain_followed(without, levels, rig) == rig.position_gain
 
 
 # ---- offline ----------------------------------------------------------------------------------

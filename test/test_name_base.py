@@ -8,13 +8,15 @@ from rig_tools import settings
 from eha_monitor.mismatch.likelihood.fit import with_unknowns
 from eha_monitor.mismatch.likelihood.gains import Unknowns, smallest_unknowns
 from eha_monitor.mismatch.name.columns import columns_at, placed, rig_free, runs_of
+from eha_monitor.mismatch.name.gates import at_bound
 from eha_monitor.mismatch.name.gram import grams_of
-from eha_monitor.mismatch.name.polish import Slopes, polished
+from eha_monitor.mismatch.name.polish import Slopes, keep_within, polished
 from eha_monitor.mismatch.name.rank import best_over, ranked_at
-from eha_monitor.mismatch.name.refit import evidence_of, joined, kept_within
+from eha_monitor.mismatch.name.refit import evidence_of, joined
 from eha_monitor.mismatch.name.starts import (
     LEAST_SHARE,
     base_free,
+    free_of,
     limits_of,
     own_sizes,
     possible,
@@ -87,15 +89,24 @@ def test_a_size_enters_no_nearer_to_nothing_than_it_shows(clean):
         assert fit.theta[place] == pytest.approx(wanted * whole)
 
 
-@pytest.mark.parametrize(("difference", "begins"), [(5.0, 1.8), (-5.0, -1.8), (-1.0, -1.0)])
-def test_a_guess_stays_within_its_law(clean, difference, begins):
+@pytest.mark.parametrize(("difference", "whole", "part"), [
+    (5.0, 3.5, 3.5), (-5.0, 3.5, -3.5), (-1.0, 2.0, -1.0), (2.0, 2.0, 2.0)])
+def test_a_law_is_written_within_its_limits_and_does_the_same(clean, difference, whole, part):
     theta = clean.experiment.theta.copy()
-    whole, part = (place_of(f"asymmetric_friction.{name}") for name in ("F_c", "dF"))
-    theta[whole], theta[part] = 2.0, difference  # friction takes power in both directions
-    kept_within(theta, "asymmetric_friction")
-    assert theta[part] == pytest.approx(begins) and theta[whole] == 2.0
-    kept_within(theta, "coulomb_friction")  # a law without parts
-    assert theta[part] == pytest.approx(begins)
+    f_c, d_f = (place_of(f"asymmetric_friction.{name}") for name in ("F_c", "dF"))
+    theta[f_c], theta[d_f] = 2.0, difference
+    keep_within(theta, ("coulomb_friction", "rig.mass", "asymmetric_friction"))
+    assert (theta[f_c], theta[d_f]) == pytest.approx((whole, part))
+    for way in (-1.0, 1.0):  # the law's own equation, friction takes power in both directions
+        assert max(theta[f_c] + way * theta[d_f], 0.0) == pytest.approx(
+            max(2.0 + way * difference, 0.0))
+
+
+def test_a_time_that_is_not_resolved_is_the_end_of_its_range(clean):
+    step = clean.experiment.dt / clean.experiment.steps
+    for start in starts_of("line_dynamics", clean.experiment):
+        (time,) = (f for f in free_of(start) if f.symbol == "T_l")
+        assert time.lower >= step and at_bound(time, step) == (time.lower == step)
 
 
 def test_every_start_is_within_the_bounds_of_its_effect(clean):
