@@ -295,7 +295,7 @@ def test_that_nothing_is_missing_is_never_judged_by_half_a_fit():
     half = polished(clean.experiment, with_rig(clean.experiment, unfitted(clean.experiment)),
                     Slopes(clean.experiment), 1)
     other = settled(clean.experiment, with_rig(clean.experiment, with_effect(
-        clean.before, starts_of("line_dynamics", clean.experiment)[0], ())))
+        clean.before, starts_of("quadratic_friction", clean.experiment)[0], ())))
     refits.add(clean.experiment, frozenset(), half)
     refits.add(clean.experiment, frozenset(other.named), other)
     assert refits.best()
