@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 from mismatch_tools import case_of, diagnosed, fitted, recorded
 
+from eha_monitor.balances.answer import Asked, first_answer
 from eha_monitor.estimation.hold_choice import other_hold, with_hold
 from eha_monitor.mismatch.data.experiment import experiment_of
 from eha_monitor.mismatch.diagnose import (
     diagnose,
+    explains_more,
     gained_under,
     is_answer,
     verdict_of,
@@ -241,3 +243,16 @@ def test_a_set_is_compared_with_itself_under_the_other_hold():
     bare = nominal(flowing)[1].log_likelihood - under_hold.log_likelihood
     assert gained_under(flowing, under_hold) > max(bare, 0.0) + 100.0
     assert gained_under(held, fitted_with(flowing, "spring_load", "position_delay")) < -100.0
+
+
+def test_laws_of_two_answers_are_compared_as_they_are_written():
+    recording, settings = recorded(case_of("stribeck_friction"))
+    first = first_answer([recording], settings, Asked())
+    dry = first.config_effects
+    assert first.verdict == "mismatch" and dry
+    # Terms that correct the form of what least squares name are none of its laws.
+    assert not explains_more(first, replace(first), [recording], settings)
+    assert explains_more(first, replace(first, config_effects={}), [recording], settings)
+    none = replace(first, config_effects={})
+    assert not explains_more(none, first, [recording], settings)
+    assert not explains_more(replace(first, signals={}), none, [recording], settings)

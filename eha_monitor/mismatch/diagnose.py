@@ -194,16 +194,19 @@ def explains_more(first: Diagnosis, found: Diagnosis, recordings: list[Recording
                   settings: Settings, policy: Policy = POLICY) -> bool:
     """Tell whether what the balances name leaves less of the force on unseen data.
 
-    By more than ``worse`` of it, both as a balance in its band: the gate that an answer by a
-    filter owes to least squares.
+    By more than ``worse`` of it, both as laws of the config and as a balance in its band: the gate
+    that an answer by a filter owes to least squares.
     """
     force = first.signals.get("force")
     if force is None:
         return False
-    numbers = {one.key: one.found.value for one in (*found.rig_within, *found.rig_data)}
-    answer = settings.model_copy(update={
-        "effects": found.config_effects, "rig": settings.rig.model_copy(update=numbers)})
-    return force_left(recordings, answer) - force.after_rms > policy.worse * force.signal_rms
+
+    def left(answer: Diagnosis) -> float:
+        numbers = {one.key: one.found.value for one in (*answer.rig_within, *answer.rig_data)}
+        return force_left(recordings, settings.model_copy(update={
+            "effects": answer.config_effects, "rig": settings.rig.model_copy(update=numbers)}))
+
+    return left(found) - left(first) > policy.worse * force.signal_rms
 
 
 def followed_by(experiment: Experiment, say: Report, first: Diagnosis | None, may_end: bool
