@@ -14,6 +14,7 @@ from eha_monitor.mismatch.diagnose import (
     explains_more,
     gained_under,
     is_answer,
+    late_as_held,
     verdict_of,
 )
 from eha_monitor.mismatch.diagnosis import VERDICTS, Diagnosis, SignalFit
@@ -256,3 +257,18 @@ def test_laws_of_two_answers_are_compared_as_they_are_written():
     none = replace(first, config_effects={})
     assert not explains_more(none, first, [recording], settings)
     assert not explains_more(replace(first, signals={}), none, [recording], settings)
+
+
+@pytest.mark.parametrize(("effect", "samples", "held"), [
+    ("position_delay", 0.5, True), ("command_delay", 0.52, True), ("command_delay", 0.8, False),
+    ("position_delay", 2.0, False), ("pressure_delay", 0.5, False)])
+def test_a_time_of_half_a_sample_may_be_a_hold(effect, samples, held):
+    found = fitted(effect)
+    theta, (delay,) = found.after.theta.copy(), [
+        f for f in found.after.free if f.name == f"{effect}.T"]
+    theta[delay.place] = samples * found.experiment.dt
+    fit = replace(found.after, theta=theta)
+    assert found.after.stddev(delay.name) < 0.05 * found.experiment.dt
+    assert late_as_held(Naming(found.experiment, found.before, fit)) is held
+    bare = Naming(found.experiment, found.before, replace(fit, named=()))
+    assert not late_as_held(bare)

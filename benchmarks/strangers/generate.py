@@ -161,7 +161,8 @@ def beside_of(rig: StrangerRig) -> list[dict]:
 
     Every such rig has the stroke in its volumes and an encoder's steps.  Lag, hold and play are a
     per cent or two of what their balance does, which is no difference to a diagnosis that has
-    milliseconds of doubt about its channels; to first order a hold delays by half of itself.
+    milliseconds of doubt about its channels; to first order a hold delays by half of itself, and
+    the anti-alias filter of second order the pressures by sqrt(2) / (2 pi f).
     """
     c = rig.plant
     found = [entry("position_dependent_volume", "flow", {"A_v": 0.5 * (c.area_1 + c.area_2)}),
@@ -170,6 +171,9 @@ def beside_of(rig: StrangerRig) -> list[dict]:
         found.append(entry("backlash", "force", {"b": c.play, "in_loop": 1.0}))
     if c.lag + held(rig):
         found.append(entry("drive_lag", "drive", {"tau": c.lag + held(rig)}))
+    if rig.sensors.filter_hz:
+        found.append(entry("pressure_delay", "sensor", {
+            "T": math.sqrt(0.5) / (math.pi * rig.sensors.filter_hz)}))
     if SURE - 1.0 < leaks_by(rig) <= SURE + 1.0:
         found.append(entry("cross_port_leakage", "flow", {"L": leak_beyond(rig)}))
     if (c.case_leakage or c.case_leakage_2) and not leak_shows(rig):

@@ -408,6 +408,9 @@ class HoldDecision:
         if not self.decided:
             return ("the recording does not show whether the drive holds its command over each "
                     f"sample ({much})")
+        if self.hold == SAMPLED and self.evidence < DECISIVE:
+            return ("the drive seems to hold its command over each sample (a digital controller): "
+                    "it comes half a sample late")
         if self.hold == SAMPLED:
             return ("the drive holds its command over each sample (a digital controller): "
                     f"{much} over a continuous one")

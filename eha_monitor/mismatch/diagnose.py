@@ -20,7 +20,7 @@ from eha_monitor.balances.baseline import baseline
 from eha_monitor.balances.course import TRAVEL
 from eha_monitor.balances.policy import POLICY, Policy
 from eha_monitor.breakdown import computing
-from eha_monitor.estimation.hold_choice import other_hold, resolved
+from eha_monitor.estimation.hold_choice import CLEARLY, other_hold, resolved
 from eha_monitor.mismatch.advise import advice as advise
 from eha_monitor.mismatch.data.experiment import Experiment, by_balances, experiment_of
 from eha_monitor.mismatch.diagnosis import (
@@ -86,6 +86,7 @@ FINER = ("With these effects in the config (diagnose --write-config FILE, then -
 UNNAMED = ("A filter still sees more than the sensors' noise, too little for a balance of forces "
            "or flows and with no name: compare with a healthy recording of this machine (diagnose "
            "--reference) rather than with its config.")
+HALF_LATE = ("command_delay.T", "position_delay.T")  # what a held command resembles
 # Effect of the force balance -> errors of pressure sensors that make the same force: an offset,
 # and a scale by the mean pressure.
 FORCE_OF_SENSORS = {"constant_load": ("pressure_offset", "pressure_scale")}
@@ -148,14 +149,16 @@ def _diagnosed(recordings: list[Recording], settings: Settings, held_out: Record
     # What least squares say stands where no set of laws brings a filter near the recording.
     stands = hypothesis is None and first is not None and (far or not force_is_closed(first))
     named, followed = followed_by(experiment, say, first, stands)
-    if decision is not None and (not followed or (
+    late = (decision is not None and not decision.decided and named is not None
+            and late_as_held(named[1]))
+    if decision is not None and (not followed or late or (
             named is not None and named[1].unexplained > experiment.policy.rival)):
         # What is missing may have been taken for a hold, or the other way about.
         other = at_its_angle(experiment_of(recordings, other_hold(held), held_out is None,
                                            without))
         gained = gained_under(other, named[1].after if followed else
                               nominal_of(informative(experiment)))
-        if gained > 0.0:
+        if gained > (-CLEARLY if late else 0.0):
             experiment, held = other, other.settings
             named, followed = followed_by(other, say, first, stands and not followed)
             decision = replace(decision, hold=held.command_hold, evidence=gained, decided=True)
@@ -243,6 +246,17 @@ def named_in(experiment: Experiment, say: Report, first: Diagnosis | None = None
     windows = informative(experiment)
     return windows, name_effects(windows, lambda text, share: say(text, 0.85 * share),
                                  view_of(first), may_end)
+
+
+def late_as_held(naming: Naming) -> bool:
+    """Tell whether a set names a time of half a sample, by which a held command is late.
+
+    Any other length would be as likely: it is taken for a hold unless it is clearly better.
+    """
+    half, policy, after = 0.5 * naming.experiment.dt, naming.experiment.policy, naming.after
+    return any(f.name in HALF_LATE and f.owner in after.named and abs(
+        after.theta[f.place] - half) <= np.hypot(
+            2.0 * policy.timing * half, policy.sure * after.stddev(f.name)) for f in after.free)
 
 
 def view_of(first: Diagnosis | None) -> FirstView | None:
