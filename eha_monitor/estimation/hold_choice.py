@@ -540,12 +540,13 @@ def asked_of(recording: Recording, settings: Settings) -> Asked | None:
     recorded, _ = without_spikes(dict(part.channels), noise)
     circuit = circuit_of(*theta_of(rig, settings.effects))
     channels, noise = undo_sensors(recorded, noise, circuit, dt * (start + np.arange(length)))
-    gain = gain_followed(channels, noise, rig) if commanded else None
-    if commanded and gain is None:
-        channels = {name: values for name, values in channels.items() if name != "x_d"}
-    elif commanded:
-        settings = with_gain(settings, gain)
-        rig = settings.rig
+    if commanded:
+        gain = gain_followed(channels, noise, rig)
+        if gain is None:
+            channels = {name: values for name, values in channels.items() if name != "x_d"}
+        else:
+            settings = with_gain(settings, gain)
+            rig = settings.rig
     if missing(settings, channels)[1] is not None:
         return None  # the pump does not do as told, and what it does is not recorded
     by_demand = "x_d" in channels and rig.position_gain is not None

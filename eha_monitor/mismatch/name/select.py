@@ -697,7 +697,8 @@ def finish(experiment: Experiment, refits: Refits) -> None:
                     experiment, simplified(experiment, lead, name, other), worth=worth))
     # That nothing is missing is never judged by half a fit.
     able = within_reach(refits)
-    more = [names for names in able[FINALISTS:] if plainer_of(refits, names) is not None]
+    plainer = {names: plainer_of(refits, names) for names in able}
+    more = [names for names in able[FINALISTS:] if plainer[names] is not None]
     near = list(dict.fromkeys([*able[:FINALISTS], *more, frozenset[str]()]))
     level = refits.fits[refits.best()].unknowns
     lead = refits.fits[refits.likeliest(near)]
@@ -709,7 +710,7 @@ def finish(experiment: Experiment, refits: Refits) -> None:
             fit = with_unknowns(experiment, fit, level)
         whole = fit if fit.converged and fit is refits.fits[names] else settled(
             experiment, fit, worth=worth)
-        other = crossed(fit, plainer_of(refits, names) or lead)
+        other = crossed(fit, plainer.get(names) or lead)
         if other is None:
             return whole
         other = settled(experiment, with_unknowns(experiment, other, level),
