@@ -12,12 +12,11 @@ from eha_monitor.mismatch.data.experiment import experiment_of
 from eha_monitor.mismatch.diagnose import (
     diagnose,
     explains_more,
-    gained_under,
     is_answer,
-    late_as_held,
     verdict_of,
 )
 from eha_monitor.mismatch.diagnosis import VERDICTS, Diagnosis, SignalFit
+from eha_monitor.mismatch.holds import gained_under, late_as_held
 from eha_monitor.mismatch.name.naming import Naming
 from eha_monitor.mismatch.name.select import nominal, settled
 from eha_monitor.mismatch.name.starts import starts_of, with_effect

@@ -20,7 +20,7 @@ from eha_monitor.balances.baseline import baseline
 from eha_monitor.balances.course import TRAVEL
 from eha_monitor.balances.policy import POLICY, Policy
 from eha_monitor.breakdown import computing
-from eha_monitor.estimation.hold_choice import CLEARLY, other_hold, resolved
+from eha_monitor.estimation.hold_choice import resolved
 from eha_monitor.mismatch.advise import advice as advise
 from eha_monitor.mismatch.data.experiment import Experiment, by_balances, experiment_of
 from eha_monitor.mismatch.diagnosis import (
@@ -34,6 +34,7 @@ from eha_monitor.mismatch.diagnosis import (
     Window,
     health_sentences,
 )
+from eha_monitor.mismatch.holds import searched
 from eha_monitor.mismatch.learn.validated import (
     Tested,
     ValidatedTerm,
@@ -42,20 +43,12 @@ from eha_monitor.mismatch.learn.validated import (
     validated_term,
 )
 from eha_monitor.mismatch.likelihood.along import filtered_tracks
-from eha_monitor.mismatch.likelihood.fit import Fit, spread, with_unknowns
+from eha_monitor.mismatch.likelihood.fit import Fit
 from eha_monitor.mismatch.locate import location as locate
 from eha_monitor.mismatch.locate.terms import BALANCES, missing_terms
 from eha_monitor.mismatch.name.before import FirstView, at_its_angle, informative
-from eha_monitor.mismatch.name.columns import effects_of
 from eha_monitor.mismatch.name.naming import Naming, beyond_form, name_effects, on_all_of
-from eha_monitor.mismatch.name.refit import looked
-from eha_monitor.mismatch.name.select import (
-    Unfollowed,
-    lack_of,
-    lacks,
-    nominal_model,
-)
-from eha_monitor.mismatch.name.starts import without_effect
+from eha_monitor.mismatch.name.select import lack_of, lacks
 from eha_monitor.mismatch.name.unnamed import INTERMITTENT
 from eha_monitor.mismatch.policy import SearchPolicy
 from eha_monitor.mismatch.show import held_out as show
@@ -86,7 +79,6 @@ FINER = ("With these effects in the config (diagnose --write-config FILE, then -
 UNNAMED = ("A filter still sees more than the sensors' noise, too little for a balance of forces "
            "or flows and with no name: compare with a healthy recording of this machine (diagnose "
            "--reference) rather than with its config.")
-HALF_LATE = ("command_delay.T", "position_delay.T")  # what a held command resembles
 # Effect of the force balance -> errors of pressure sensors that make the same force: an offset,
 # and a scale by the mean pressure.
 FORCE_OF_SENSORS = {"constant_load": ("pressure_offset", "pressure_scale")}
@@ -141,28 +133,18 @@ def _diagnosed(recordings: list[Recording], settings: Settings, held_out: Record
     started = time.perf_counter()
     say("least squares on the balances", 0.02)
     first = first_answer(recordings, settings, Asked(held_out, None, without, vary))
-    held, decision = resolved(recordings, settings)
-    experiment = at_its_angle(experiment_of(recordings, held, held_out is None, without))
     far = hypothesis is None and far_from_config(first)
     if far and first.machine is not None:  # several say more together than a filter of one law can
         return by_first(first, started), None
     # What least squares say stands where no set of laws brings a filter near the recording.
     stands = hypothesis is None and first is not None and (far or not force_is_closed(first))
-    named, followed = followed_by(experiment, say, first, stands)
-    late = (decision is not None and not decision.decided and named is not None
-            and late_as_held(named[1]))
-    if decision is not None and (not followed or late or (
-            named is not None and named[1].unexplained > experiment.policy.rival)):
-        # What is missing may have been taken for a hold, or the other way about.
-        other = at_its_angle(experiment_of(recordings, other_hold(held), held_out is None,
-                                           without))
-        gained = gained_under(other, named[1].after if followed else
-                              nominal_of(informative(experiment)))
-        if gained > (-CLEARLY if late else 0.0):
-            experiment, held = other, other.settings
-            named, followed = followed_by(other, say, first, stands and not followed)
-            decision = replace(decision, hold=held.command_hold, evidence=gained, decided=True)
-    if not followed:
+    held, decision = resolved(recordings, settings)
+    end = searched(
+        lambda under: at_its_angle(experiment_of(recordings, under, held_out is None, without)),
+        held, decision, stands,
+        lambda experiment, may_end, doubt: named_in(experiment, say, first, may_end, doubt))
+    experiment, decision, named = end.experiment, end.decision, end.named
+    if not end.followed:
         if first is None or hypothesis is not None:
             raise np.linalg.LinAlgError("no filter runs on the nominal model")
         return by_first(first, started), None
@@ -170,7 +152,8 @@ def _diagnosed(recordings: list[Recording], settings: Settings, held_out: Record
     # Where a filter leaves something, its names make up for laws that it does not have.
     led_astray = found.verdict == "mismatch" and not (named and follows(named[1]))
     if far and (led_astray or explains_more(
-            first, found, recordings if held_out is None else [held_out], held)):
+            first, found, recordings if held_out is None else [held_out],
+            experiment.settings)):
         return by_first(first, started), None
     # Innovations of another form than the config's laws are no mismatch of this machine, and no
     # balance is theirs.
@@ -183,7 +166,7 @@ def _diagnosed(recordings: list[Recording], settings: Settings, held_out: Record
     return replace(found, machine=None if first is None else first.machine,
                    policy=experiment.policy.to_dict(),
                    channels=decision.findings if decided else (),
-                   command_hold=(held if decided else settings).command_hold,
+                   command_hold=(experiment.settings if decided else settings).command_hold,
                    wall_s=time.perf_counter() - started), named and named[1]
 
 
@@ -212,15 +195,6 @@ def explains_more(first: Diagnosis, found: Diagnosis, recordings: list[Recording
     return left(found) - left(first) > policy.worse * force.signal_rms
 
 
-def followed_by(experiment: Experiment, say: Report, first: Diagnosis | None, may_end: bool
-                ) -> tuple[tuple[Experiment, Naming] | None, bool]:
-    """Return :func:`named_in`, and whether a filter follows the recording at all."""
-    try:
-        return named_in(experiment, say, first, may_end), True
-    except (Unfollowed, np.linalg.LinAlgError):  # no law is near, or no filter runs
-        return None, False
-
-
 def follows(naming: Naming) -> bool:
     """Tell whether the model that was found follows the recording, and least squares cannot more.
 
@@ -233,30 +207,20 @@ def follows(naming: Naming) -> bool:
 
 
 def named_in(experiment: Experiment, say: Report, first: Diagnosis | None = None,
-             may_end: bool = False) -> tuple[Experiment, Naming] | None:
+             may_end: bool = False, doubt: Callable[[Fit], None] | None = None
+             ) -> tuple[Experiment, Naming] | None:
     """Name what the most informative windows show; None where the piston hardly moves.
 
     Parameters
     ----------
     first : what the balances answer.
-    may_end : by ``Unfollowed``, see :class:`select.Search`.
+    may_end, doubt : see :func:`select.selected`.
     """
     if experiment.ranges.position < TRAVEL * experiment.noise[0]:
         return None
     windows = informative(experiment)
     return windows, name_effects(windows, lambda text, share: say(text, 0.85 * share),
-                                 view_of(first), may_end)
-
-
-def late_as_held(naming: Naming) -> bool:
-    """Tell whether a set names a time of half a sample, by which a held command is late.
-
-    Any other length would be as likely: it is taken for a hold unless it is clearly better.
-    """
-    half, policy, after = 0.5 * naming.experiment.dt, naming.experiment.policy, naming.after
-    return any(f.name in HALF_LATE and f.owner in after.named and abs(
-        after.theta[f.place] - half) <= np.hypot(
-            2.0 * policy.timing * half, policy.sure * after.stddev(f.name)) for f in after.free)
+                                 view_of(first), may_end, doubt)
 
 
 def view_of(first: Diagnosis | None) -> FirstView | None:
@@ -267,40 +231,6 @@ def view_of(first: Diagnosis | None) -> FirstView | None:
     effects = {effect.name: first.config_effects[effect.name] for effect in first.effects
                if effect.name in first.config_effects}
     return FirstView(effects, None if damping is None else damping.value)
-
-
-def nominal_of(windows: Experiment) -> Fit | None:
-    """Return the nominal model with the rig's numbers free, fitted; None where none runs."""
-    try:
-        return nominal_model(windows, within=True)
-    except np.linalg.LinAlgError:
-        return None
-
-
-def gained_under(other: Experiment, found: Fit | None) -> float:
-    """Return by how much a set fits better under another hold than where it was found, log units.
-
-    The likeliest of it, of it without one of its effects and of the nominal model there, after a
-    first look: what is missing beside the set may be what was taken for a hold (a position that is
-    read late), and an effect of it may be the hold (a line that delays the flow).
-
-    Parameters
-    ----------
-    other : the same samples and outputs, under another hold of the drive's command.
-    found : None where no filter runs.
-    """
-    def each(fit: Fit) -> float:
-        return fit.log_likelihood / np.isfinite(fit.e).sum()
-
-    windows = informative(other)
-    bare = nominal_of(windows)
-    if found is None:
-        return 0.0 if bare is None else np.inf
-    sets = [found, *(without_effect(windows, found, name) for name in effects_of(found))]
-    there = [*spread(lambda one: looked(windows, with_unknowns(windows, one)), sets),
-             *filter(None, [bare])]
-    best = max(there, key=each)
-    return float((each(best) - each(found)) * np.isfinite(best.e).sum())
 
 
 def diagnosed(recordings: list[Recording], experiment: Experiment,

@@ -119,7 +119,8 @@ def form_only(experiment: Experiment, before: Fit, after: Fit) -> bool:
 
 
 def name_effects(experiment: Experiment, report: Report | None = None,
-                 first_view: FirstView | None = None, may_end: bool = False) -> Naming:
+                 first_view: FirstView | None = None, may_end: bool = False,
+                 doubt: Callable[[Fit], None] | None = None) -> Naming:
     """Find the effects and the wrong numbers of the rig that an experiment supports.
 
     Parameters
@@ -127,9 +128,10 @@ def name_effects(experiment: Experiment, report: Report | None = None,
     report : called with what is done and how far it is, 0 to 1.
     first_view, may_end : what least squares say, and whether that stands where no law of the
         catalogue follows; see :func:`selected`.
+    doubt : see :func:`selected`.
     """
     say = report or (lambda text, share: None)
-    found = selected(experiment, say, first_view, may_end)
+    found = selected(experiment, say, first_view, may_end, doubt)
     say("fitting the nominal model to the end", 0.9)
     before = settled(found.experiment, found.nominal)
     return naming_of(found.experiment, found, before)

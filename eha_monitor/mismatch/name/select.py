@@ -248,7 +248,8 @@ def strayed(view: Linearised, refits: Refits) -> bool:
 
 
 def selected(experiment: Experiment, say=lambda text, share: None,
-             first_view: FirstView | None = None, may_end: bool = False) -> Selection:
+             first_view: FirstView | None = None, may_end: bool = False,
+             doubt: Callable[[Fit], None] | None = None) -> Selection:
     """Find the set of effects and wrong numbers of the rig that a recording supports.
 
     What is missing and large shows in a third of the samples as well as in all of them: the
@@ -259,6 +260,8 @@ def selected(experiment: Experiment, say=lambda text, share: None,
     first_view : what least squares name: a set that is fitted from their numbers where all that
         was found lacks something.
     may_end : see :class:`Search`.
+    doubt : called once with what was found first, where a gate refused it or it lacks something;
+        what it raises ends the search.
 
     Raises
     ------
@@ -287,6 +290,10 @@ def selected(experiment: Experiment, say=lambda text, share: None,
     while refits.refused != judged:  # what hid behind a set that is no answer is sought as well
         judged = dict(refits.refused)
         gated(experiment, explored(search, say).refits)
+        found = refits.fits[refits.best()]
+        if doubt is not None and (refits.refused or lacks(experiment, found)):
+            doubt(found)
+        doubt = None
     best = refits.best()
     say("weighing effects not in the catalogue", 0.85)
     return Selection(experiment, first, refits, views.get(best),
