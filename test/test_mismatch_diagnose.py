@@ -7,7 +7,7 @@ import pytest
 from mismatch_tools import case_of, diagnosed, fitted, recorded
 
 from eha_monitor.balances.answer import Asked, first_answer
-from eha_monitor.estimation.hold_choice import other_hold, with_hold
+from eha_monitor.estimation.hold_choice import HoldDecision, other_hold, with_hold
 from eha_monitor.mismatch.data.experiment import experiment_of
 from eha_monitor.mismatch.diagnose import (
     diagnose,
@@ -16,7 +16,7 @@ from eha_monitor.mismatch.diagnose import (
     verdict_of,
 )
 from eha_monitor.mismatch.diagnosis import VERDICTS, Diagnosis, SignalFit
-from eha_monitor.mismatch.holds import gained_under, late_as_held
+from eha_monitor.mismatch.holds import gained_under, late_as_held, searched
 from eha_monitor.mismatch.name.naming import Naming
 from eha_monitor.mismatch.name.select import nominal, settled
 from eha_monitor.mismatch.name.starts import starts_of, with_effect
@@ -243,6 +243,29 @@ def test_a_set_is_compared_with_itself_under_the_other_hold():
     bare = nominal(flowing)[1].log_likelihood - under_hold.log_likelihood
     assert gained_under(flowing, under_hold) > max(bare, 0.0) + 100.0
     assert gained_under(held, fitted_with(flowing, "spring_load", "position_delay")) < -100.0
+
+
+@pytest.mark.parametrize("hold", ["continuous", "sampled"])
+def test_the_other_hold_is_asked_for_before_a_search_goes_on(hold):
+    """What was found first is likelier without a hold: the search ends there, or never turns."""
+    recording, settings = recorded(case_of("drive_saturation"))
+    searches = []
+
+    def search(experiment, may_end, doubt):
+        searches.append(experiment.settings.command_hold)
+        fit = nominal(experiment)[1]
+        if doubt is not None:
+            doubt(fit)
+        return experiment, Naming(experiment, fit, fit)
+
+    def under(asked):
+        return experiment_of([recording], asked, True)
+
+    undecided = HoldDecision(hold, 5.0, False, "x_d")
+    found = searched(under, with_hold(settings, hold), undecided, False, search)
+    assert searches == (["continuous"] if hold == "continuous" else [hold, "continuous"])
+    assert found.followed and found.experiment.settings.command_hold == "continuous"
+    assert found.decision.decided is (hold == "sampled")
 
 
 def test_laws_of_two_answers_are_compared_as_they_are_written():
