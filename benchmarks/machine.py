@@ -32,6 +32,7 @@ from eha_monitor.balances.policy import POLICY
 from eha_monitor.balances.table import tables_of
 from eha_monitor.balances.together import Recordings, of_one_machine, unseen
 from eha_monitor.errors import InputError
+from eha_monitor.mismatch.diagnosis import Diagnosis
 from eha_monitor.recordings.importing import read_table
 from eha_monitor.settings import load_settings
 
@@ -124,16 +125,20 @@ def on_the_other_day(machine: Machine, courses: list, settings) -> dict:
 def strangers(seed: int, rigs: int) -> dict:
     """Return shares of numbers inside two deviations and of right names, by the balances alone."""
     inside: dict[str, list[bool]] = {key: [] for key in (
-        "first", "B", "D_p", "F_0", "names_alone", "names_together")}
+        "first", "B", "D_p", "F_0", "names_alone", "names_together", "B_alone", "F_0_alone",
+        "F_c_alone", "F_d_alone")}
     for i in range(rigs):
         rig = draw_rig(seed, i)
         made = [recorded(rig, setting, seed + k) for k, setting in enumerate(rig.settings)]
         truths = [truth_of(rig, setting) for setting in rig.settings]
         settings = made[0][1]
-        inside["names_alone"] += [named_rightly([one], truth, settings)
-                                  for (one, _), truth in zip(made, truths, strict=True)]
-        inside["names_together"].append(named_rightly([one for one, _ in made], truths[0],
-                                                      settings))
+        for (one, _), truth in zip(made, truths, strict=True):
+            answer = answered([one], settings)
+            inside["names_alone"].append(named_rightly(answer, truth))
+            for symbol, right in sizes_inside(answer, truth):
+                inside[f"{symbol}_alone"].append(right)
+        inside["names_together"].append(named_rightly(
+            answered([one for one, _ in made], settings), truths[0]))
         low, high = (f(value for one in truths for value in one["B_span"]) for f in (min, max))
         for (recording, _), truth in zip(made, truths, strict=True):
             force = baseline(recording, settings).force
@@ -171,9 +176,24 @@ def strangers(seed: int, rigs: int) -> dict:
     return {key: (100 * np.mean(rows), len(rows)) for key, rows in inside.items()}
 
 
-def named_rightly(recordings: list, truth: dict, settings) -> bool:
+def sizes_inside(answer: Diagnosis, truth: dict) -> list[tuple[str, bool]]:
+    """Return of B and each named force whether it is inside two stated deviations, by symbol.
+
+    What is named and not there (a Stribeck fall F_d of a Coulomb friction) is truly nil.
+    """
+    true = {"F_c": 0.0, "F_d": 0.0, "F_0": 0.0} | {
+        symbol: value for one in truth["effects"] for symbol, value in one["parameters"].items()}
+    found = [(symbol, within(value.value, value.stddev, true[symbol], true[symbol]))
+             for effect in answer.effects for symbol, value in effect.parameters.items()
+             if symbol in ("F_c", "F_d", "F_0") and value.stddev > 0.0]
+    if "B" in answer.after:
+        b = answer.after["B"]
+        found.append(("B", within(b.value, b.stddev, *sorted(truth["B_span"]))))
+    return found
+
+
+def named_rightly(answer: Diagnosis, truth: dict) -> bool:
     """Tell whether an answer names what is there, each within its class, and nothing else."""
-    answer = answered(recordings, settings)
     off = {one["key"] for one in truth["rig_off"] if abs(one["tolerances"]) > 2.0}
     names = {one.name for one in answer.effects} | ({one.key for one in answer.rig_data} - off)
     wanted = [set(one["class"]) for one in truth["effects"]]
