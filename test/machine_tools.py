@@ -14,7 +14,7 @@ A_1, A_2 = np.pi / 4 * 0.040**2, np.pi / 4 * (0.040**2 - 0.025**2)  # m^2, rod o
 
 def stranger(seed=0, dry=180.0, rise=80.0, damping=(1500.0, 1275.0), load=338.0, mass=60.0,
              seconds=24.0, dt=2e-3, late=0.0, dead=False, stop=False, presses=4000.0, dwells=0,
-           spring=0.0):
+             spring=0.0, travel=1.0):
     """Return a recording of an inclined single-rod cylinder with 12-bit sensors.
 
     B runs from the first to the second value of ``damping``; friction has a Stribeck ``rise``.
@@ -22,13 +22,14 @@ def stranger(seed=0, dry=180.0, rise=80.0, damping=(1500.0, 1275.0), load=338.0,
     ``stop`` : the end of the record presses against a stop with the force ``presses``.
     ``dwells`` : so many stretches of 1.2 s at rest, in which friction holds any force.
     ``spring`` : N/m, against which it moves.
+    ``travel`` : share of the usual motion, and of the encoder's step.
     """
     rng = np.random.default_rng(seed)
     h = dt / 4
     t = np.arange(0.0, seconds, h)
     phase = rng.uniform(0.0, 2 * np.pi, 4)
     w = 2 * np.pi * np.array([0.11, 0.31, 0.73, 1.9])
-    size = np.array([0.06, 0.03, 0.008, 0.001]) * rng.uniform(0.8, 1.2, 4)
+    size = travel * np.array([0.06, 0.03, 0.008, 0.001]) * rng.uniform(0.8, 1.2, 4)
     x = 0.2 + sum(a * np.sin(b * t + c) for a, b, c in zip(size, w, phase, strict=True))
     x = np.where(t < 1.0, x[np.searchsorted(t, 1.0)], x)  # it stands first
     if stop:
@@ -61,7 +62,7 @@ def stranger(seed=0, dry=180.0, rise=80.0, damping=(1500.0, 1275.0), load=338.0,
         noisy = np.interp(at - delay, t, values) + 0.5 * step * rng.standard_normal(len(at))
         return np.round(noisy / step) * step
 
-    channels = {"x": sampled(x, 0.5), "p1": sampled(p1, 160e5, late),
+    channels = {"x": sampled(x, 0.5 * travel), "p1": sampled(p1, 160e5, late),
                 "p2": sampled(p2, 160e5, late)}
     if dead:
         channels["p1"][2000:2030] = 0.0

@@ -210,6 +210,28 @@ def test_dry_friction_of_any_shape_is_told_as_a_force(settings):
     assert 180.0 < change.reference.value < 250.0  # with what of the rise the motion shows
 
 
+def test_a_fall_with_speed_that_no_speed_shows_is_in_the_deviations(settings):
+    """Below the Stribeck speed the friction is that of rest, and damping its slope: nobody knows.
+
+    The forces are the test's own: 180 N of Coulomb friction, 120 N more at rest that fall over
+    10 mm/s as a Gaussian; the motion goes up to 70 mm/s, or to a tenth and a thirtieth of that.
+    """
+    widths = []
+    for travel in (1.0, 0.1, 1.0 / 30.0):
+        z, shares = [], []
+        for seed in range(6):
+            found = answered([stranger(seed, rise=120.0, damping=(1500.0, 1500.0),
+                                       travel=travel)], settings)
+            dry = next(one.parameters["F_c"] for one in found.effects if "F_c" in one.parameters)
+            damping = found.after.get("B")
+            z += [(dry.value - 180.0) / dry.stddev]
+            z += [(damping.value - 1500.0) / damping.stddev] if damping else []
+            shares.append(dry.stddev / dry.value)
+        assert np.sqrt(np.mean(np.square(z))) < 2.0
+        widths.append(float(np.median(shares)))
+    assert widths[0] < 0.25 < widths[1] and 2.0 * widths[0] < widths[2]
+
+
 @pytest.mark.parametrize("play", [0.0, 2.5e-4])
 def test_behind_check_valves_the_filled_chamber_is_compressed(play):
     """Equal areas, the lower pressure held at the source's: known motion, flow by its equation.

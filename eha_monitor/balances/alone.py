@@ -14,13 +14,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from eha_monitor.balances.candidates import Candidate, founded
-from eha_monitor.balances.least_squares import from_absent, inverse_of, signed_solution
+from eha_monitor.balances.candidates import DRY, Candidate, founded
+from eha_monitor.balances.least_squares import from_absent, inverse_of, signed_solution, unexcluded
 from eha_monitor.balances.policy import Policy
 from eha_monitor.balances.table import Table
 from eha_monitor.quantity import quantity, share
 
 MOST_TERMS = 8
+FALL = 0.5  # of dry friction: what a Stribeck curve takes of it
 FIRST_VIEW = ("F_c", "dM")  # what ten lines of least squares have beside B and F_0
 
 
@@ -31,7 +32,8 @@ class Name:
     Attributes
     ----------
     term, effect : the candidate's.
-    value, stddev : SI; the deviation contains a typical spread between recordings.
+    value, stddev : SI.
+    fall : of the deviation that of :func:`by_falls`: it leaves open a size, not that it is there.
     frequency : share of the halves in which the effect, or one of its family, came up.
     probability : calibrated and capped.
     gained : log units that the balance loses without it.
@@ -51,6 +53,7 @@ class Name:
     named: bool
     rivals: tuple[str, ...]
     whole: tuple[float, float]
+    fall: float
 
 
 @dataclass(frozen=True)
@@ -128,11 +131,16 @@ class _Choice:
         values, chance = covariance_by_chance(table, kept)
         covariance = chance + form_and_doubts(table, kept, error, policy)
         families = {self.of[name].kind for name in kept}
-        wholes = wholes_of([self.of[name] for name in kept], values, covariance)
-        stddev = np.hypot(np.sqrt(np.diag(covariance)), between_forms(
+        falls = by_falls(table, kept, values)
+        stated = covariance + falls
+        moved = between_forms(
             self.of, self.allowed, kept, self.unseen, lambda names: self.parameters(names)[0],
-            policy))
-        for name, value, total, whole in zip(kept, values, stddev.tolist(), wholes, strict=True):
+            policy)
+        wholes = wholes_of([self.of[name] for name in kept], values, stated, moved)
+        stddev = np.hypot(np.sqrt(np.diag(stated)), np.max(np.abs(moved), axis=0))
+        for name, value, total, whole, fall in zip(
+                kept, values, stddev.tolist(), wholes, np.sqrt(np.diag(falls)).tolist(),
+                strict=True):
             one = self.of[name]
             if one.always:  # no half says whether it is there: its own value does
                 frequency, gained = 1.0, 0.0
@@ -150,7 +158,7 @@ class _Choice:
                 gained, name in named and apart > policy.owed,
                 tuple(e for e in rivals.get(one.kind, ()) if e not in {
                     self.of[other].effect for other in kept} and one.kind in families),
-                whole or (value, total)))
+                whole or (value, total), fall))
         return Alone(tuple(found), tuple(refused), table.effective, error, nominal)
 
     def stable(self) -> tuple[list[str], dict[str, float], dict[str, tuple[str, ...]]]:
@@ -172,7 +180,8 @@ class _Choice:
                       if effects[of[name].effect] >= policy.stable * policy.halves]
             steady = steady or members[:1]
             if founded(steady, of) != steady:  # halves share what is added, not what it adds to
-                steady.insert(0, next(name for name in members if not of[name].upon))
+                steady.insert(0, next(name for name in (*members, *self.allowed) if of[name].bears
+                                      and of[name].kind == family and not of[name].upon))
             for name in steady:
                 if of[name].effect not in {of[other].effect for other in kept}:
                     kept.append(name)
@@ -193,11 +202,11 @@ class _Choice:
         members = [name for name in self.allowed if not of[name].always and (
             of[name].effect == own.effect or (own.family and of[name].family == own.family
                                               and of[name].effect not in taken))]
-        members = [name for name in members if name in founded(
-            [*kept[:i], name, *kept[i + 1 :]], of)]
-        found = {name: self.unseen([*kept[:i], name, *kept[i + 1 :]]) for name in members}
+        forms = {name: [*kept[:i], name, *kept[i + 1 :]] for name in members}
+        found = {name: self.unseen(form) for name, form in forms.items()
+                 if founded(form, of) == form}
         best: dict[str, str] = {}  # effect -> its best shape
-        for name in members:
+        for name in found:
             effect = of[name].effect
             if effect not in best or found[name] < found[best[effect]]:
                 best[effect] = name
@@ -279,7 +288,7 @@ def between_forms(of: Mapping[str, Candidate], allowed: Sequence[str], kept: Seq
                   unseen: Callable[[Sequence[str]], float],
                   parameters: Callable[[Sequence[str]], Sequence[float]], policy: Policy
                   ) -> np.ndarray:
-    """Return how far each parameter goes with the shapes of a family that fit as well, (k,) SI.
+    """Return how parameters go with each shape of a family that fits as well, (shapes, k) SI.
 
     Which of them is the machine's the recordings do not say: its friction may fall with speed, or
     turn round more slowly, and damping takes up what they do not hold.
@@ -309,14 +318,58 @@ def between_forms(of: Mapping[str, Candidate], allowed: Sequence[str], kept: Seq
         if name in allowed and of[name].kind not in kinds and unseen([*kept, name]) <= most:
             found = np.asarray(parameters([*kept, name]))[: len(kept)]
             moved.append(np.where(grow, found - values, 0.0))
-    return np.max(np.abs(moved), axis=0)
+    return np.array(moved)
 
 
-def wholes_of(terms: Sequence[Candidate], values: Sequence[float], covariance: np.ndarray
-              ) -> list[tuple[float, float] | None]:
+def by_falls(table: Table, names: Sequence[str], values: Sequence[float]) -> np.ndarray:
+    """Return the mean squared shifts of parameters by how friction falls with speed, (k, k) SI.
+
+    Dry friction falls with speed (Stribeck), by ``FALL`` of itself or so.  Where it falls more
+    slowly than the recording moves, F_c is the friction there, and damping takes up the slope;
+    where a fall is seen, how far it goes on at rest is a matter of that speed.  The mean is over
+    the speeds of :attr:`Table.falls`, each as likely as it makes the recording.  Where no dry
+    friction is seen, what passes for damping may be one that has not turned round yet.
+    """
+    of = {one.name: one for one in table.candidates}
+    rows, values = table.rows[table.good], np.asarray(values)
+    columns = rows[:, [table.places[name] for name in names]]
+    family = np.array([of[name].family == DRY for name in names], dtype=bool)
+    upon = family & np.array([bool(of[name].upon) for name in names], dtype=bool)
+    dry, ways = family & ~upon, [columns[:, upon], table.falls[table.good]]
+    size = FALL
+    if not dry.any():
+        dry, ways = np.array(names) == "B", [table.turning[table.good]]
+        size = 1.0 / max(float(np.sqrt(np.mean(ways[0] ** 2))), 1e-300)  # it may be all of it
+    if not dry.any():
+        return np.zeros((len(names), len(names)))
+    size *= float(np.sqrt(np.mean((columns[:, dry] @ values[dry]) ** 2)))
+    noise = float(np.mean((rows[:, 0] - columns @ values) ** 2)) * table.full[1]
+    rest, base = columns[:, ~upon], values[~upon]
+    if upon.any():
+        base = np.linalg.lstsq(rest, rows[:, 0], rcond=None)[0]
+    left = rows[:, 0] - rest @ base
+    shifts, evidence = [np.zeros((len(names), len(names)))], [0.0]
+    for way in np.hstack(ways).T:
+        moves, mean, variance, log = unexcluded(rest, size * way, left, noise, True)
+        slope, start = np.full(len(names), size), np.zeros(len(names))
+        slope[~upon], start[~upon] = moves, base
+        shift = start + mean * slope - values
+        shifts.append(np.outer(shift, shift) + variance * np.outer(slope, slope))
+        evidence.append(log)
+    first = int(upon.any())  # a fall that is named is there: only which it is stays open
+    odds = np.exp(np.array(evidence) - max(evidence))[first:]
+    return np.tensordot(odds, shifts[first:], 1) / odds.sum()
+
+
+def wholes_of(terms: Sequence[Candidate], values: Sequence[float], covariance: np.ndarray,
+              moved: np.ndarray) -> list[tuple[float, float] | None]:
     """Return the sum and its deviation of the quantity of each term; None of one with no other.
 
     Two shapes of a seal's friction are one force, and how they share it nobody asks.
+
+    Parameters
+    ----------
+    covariance : (k, k) of the values; ``moved`` (shapes, k) see :func:`between_forms`.
     """
     found: list[tuple[float, float] | None] = []
     for one in terms:
@@ -324,7 +377,8 @@ def wholes_of(terms: Sequence[Candidate], values: Sequence[float], covariance: n
                if other.quantity == one.quantity and other.unit == one.unit]
         found.append(None if len(own) == 1 else (
             float(np.sum(np.asarray(values)[own])),
-            float(np.sqrt(covariance[np.ix_(own, own)].sum()))))
+            float(np.hypot(np.sqrt(covariance[np.ix_(own, own)].sum()),
+                           np.abs(moved[:, own].sum(axis=1)).max()))))
     return found
 
 

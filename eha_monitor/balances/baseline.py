@@ -14,7 +14,12 @@ import numpy as np
 
 from eha_monitor.balances.candidates import pressure_rate
 from eha_monitor.balances.course import Course, course_of, known_of
-from eha_monitor.balances.least_squares import independent, inverse_of, signed_solution
+from eha_monitor.balances.least_squares import (
+    independent,
+    inverse_of,
+    signed_solution,
+    unexcluded,
+)
 from eha_monitor.balances.together import of_one_machine
 from eha_monitor.errors import InputError
 from eha_monitor.physics.effects import CATALOGUE
@@ -246,8 +251,9 @@ def fitted(course: Course, counted: np.ndarray, y: np.ndarray, columns: tuple,
             shift = np.maximum(shift, np.abs(other[:k] - w))
     variance[free] += shift[free] ** 2
     for column in nuisances:
-        variance[free] += _unexcluded(rows[:, 1:][:, free], column, left[counted],
-                                      spread * correlated)
+        moves, mean, its, _ = unexcluded(rows[:, 1:][:, free], column, left[counted],
+                                         spread * correlated)
+        variance[free] += moves**2 * (its + mean**2)
     stddev = np.sqrt(np.where(unknown, np.inf, np.where(held, alone, variance)))
     size = max(float(np.std(rows[:, 0])), 1e-300)
     unseen, compared = [], 0
@@ -264,25 +270,6 @@ def fitted(course: Course, counted: np.ndarray, y: np.ndarray, columns: tuple,
                                         held.tolist(), strict=True)),
         int(counted.sum()), float(effective), float(np.sqrt(np.nanmean(left**2)) / size),
         float(np.sqrt(np.sum(unseen) / compared) / size) if compared else float("nan"))
-
-
-def _unexcluded(columns: np.ndarray, column: np.ndarray, left: np.ndarray, noise: float
-                ) -> np.ndarray:
-    """Return the mean squared shift of each parameter by a column whose weight is N(0, 1), (k,).
-
-    The weight's posterior has the information z'Mz/noise + 1, with M the residual maker of the
-    columns; a parameter moves by -(X'X)^-1 X'z of it.
-
-    Parameters
-    ----------
-    columns : (n, k) X; ``column`` (n,) z; ``left`` (n,) residual of the fit without it.
-    noise : variance of what is left, times the samples that count as one.
-    """
-    moves = np.linalg.lstsq(columns, column, rcond=None)[0]
-    own = column - columns @ moves
-    variance = 1.0 / (1.0 + float(own @ own) / max(noise, 1e-300))
-    weight = variance * float(own @ left) / max(noise, 1e-300)
-    return moves**2 * (variance + weight**2)
 
 
 def sentence(fit: BalanceFit) -> str:

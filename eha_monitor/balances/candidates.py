@@ -70,6 +70,7 @@ class Candidate:
     symbol, shape : the catalogue's parameter that it is, and those that its shape stands for.
     twins : effects that are the same column to first order.
     upon : family of which another term must be there, because it only adds to one.
+    bears : such a term may add to it; not where it fades at low speed itself.
     odd : it changes its sign with the direction of motion.
     power : it grows with this power of the speed.
     configured : what the config has of it, SI; the term is what comes on top, and no less than
@@ -95,6 +96,7 @@ class Candidate:
     shape: tuple[tuple[str, float], ...] = ()
     twins: tuple[str, ...] = ()
     upon: str = ""
+    bears: bool = True
     odd: bool = True
     power: float = 0.0
     configured: float = 0.0
@@ -131,7 +133,7 @@ def founded(names: Iterable[str], of: Mapping[str, Candidate]) -> list[str]:
     stays, a wide fall takes the place of viscous damping.  Nor is air all that gives way.
     """
     names = list(names)
-    grounds = {of[name].family for name in names if not of[name].upon}
+    grounds = {of[name].family for name in names if of[name].bears and not of[name].upon}
     return [name for name in names if not of[name].upon or of[name].upon in grounds]
 
 
@@ -300,7 +302,7 @@ def force_candidates(scale: Scale, rig: Rig) -> tuple[Candidate, ...]:
             f"F_t{i}", "coulomb_friction", "N", "dry friction, turned round within "
             f"{1e3 * share * scale.slowest:.2g} mm/s", 1,
             lambda c, r, d=share * scale.slowest: np.tanh(c.v / d), family="dry", variant=True,
-            symbol="F_c", shape=(("v_e", share * scale.slowest),)))
+            symbol="F_c", shape=(("v_e", share * scale.slowest),), bears=False))
     for i, share in enumerate(SLOW, start=1):
         found.append(one(
             f"F_s{i}", "stribeck_friction", "N", "Stribeck rise below "

@@ -7,6 +7,7 @@ recordings are added and left out by adding and subtracting small matrices.
 from collections.abc import Sequence
 
 import numpy as np
+from scipy.special import log_ndtr
 
 CUT = 0.05  # of the autocorrelation of a residual, below which it is noise
 NULL = 1e-10  # of the largest eigenvalue: directions below have no data
@@ -183,3 +184,35 @@ def independent(residual: np.ndarray) -> float:
     below = np.flatnonzero((rho < CUT) | (counts < 0.25 * there.sum()))
     last = int(below[0]) if len(below) else len(rho)
     return float(max(1.0, 1.0 + 2.0 * rho[1:last].sum()))
+
+
+def unexcluded(columns: np.ndarray, column: np.ndarray, left: np.ndarray, noise: float,
+               positive: bool = False) -> tuple[np.ndarray, float, float, float]:
+    """Return what a column, whose weight is N(0, 1), makes of a fit that has not got it.
+
+    The weight's posterior has the information z'Mz/noise + 1, with M the residual maker of the
+    columns; a parameter moves by -(X'X)^-1 X'z of it.
+
+    Parameters
+    ----------
+    columns : (n, k) X; ``column`` (n,) z; ``left`` (n,) residual of the fit without it.
+    noise : variance of what is left, times the samples that count as one.
+    positive : the weight is half-normal.
+
+    Returns
+    -------
+    how far each parameter goes with a weight of 1, (k,); mean and variance of the weight; the log
+    of its evidence, 0 for a fit without the column.
+    """
+    moves = np.linalg.lstsq(columns, column, rcond=None)[0]
+    own = column - columns @ moves
+    variance = 1.0 / (1.0 + float(own @ own) / max(noise, 1e-300))
+    weight = variance * float(own @ left) / max(noise, 1e-300)
+    evidence = 0.5 * (weight**2 / variance + float(np.log(variance)))
+    if positive:  # moments of the normal truncated at 0
+        at = weight / np.sqrt(variance)
+        evidence += float(log_ndtr(at) + np.log(2.0))
+        ratio = float(np.exp(-0.5 * at**2 - log_ndtr(at)) / np.sqrt(2.0 * np.pi))
+        weight, variance = (weight + np.sqrt(variance) * ratio,
+                            variance * max(1.0 - at * ratio - ratio**2, 0.0))
+    return -moves, float(weight), float(variance), evidence

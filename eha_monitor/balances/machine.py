@@ -402,7 +402,7 @@ def _forms(recordings: Recordings, beside: Recordings, names: Sequence[str],
 
     moved = between_forms(recordings.candidates, allowed, names,
                           lambda terms: beside.rms(beside.errors(terms)), parameters, policy)
-    by_name = dict(zip(names, moved.tolist(), strict=True))
+    by_name = dict(zip(names, np.abs(moved).max(axis=0).tolist(), strict=True))
     shared, settings, _ = recordings.split(names)
     of = recordings.tables[0].candidates
     return tuple(by_name[of[i - 1].name] for i in (*shared, *settings))

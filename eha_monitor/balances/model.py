@@ -15,6 +15,7 @@ from eha_monitor.balances.alone import (
     Alone,
     Refused,
     alone,
+    by_falls,
     form_and_doubts,
     parameters_of,
     wholes_of,
@@ -46,6 +47,7 @@ class Term:
     rivals : effects that do as well in its place.
     whole : (value, stddev) of the quantity that it is a part of, the sum of its terms; of a
         setting's number by how much it is usually off nil.  None: its own.
+    fall : of the deviation what is open of how friction falls with speed: a size, no name.
     """
 
     candidate: Candidate
@@ -59,11 +61,18 @@ class Term:
     named: bool = False
     rivals: tuple[str, ...] = ()
     whole: tuple[float, float] | None = None
+    fall: float = 0.0
 
     @property
     def quantity(self) -> tuple[float, float]:
         """Value and deviation of what it is, or is a part of."""
         return self.whole or (self.value, self.stddev)
+
+    @property
+    def presence(self) -> tuple[float, float]:
+        """The same with the deviation that says whether it is there at all."""
+        value, stddev = self.quantity
+        return value, float(np.sqrt(max(stddev**2 - self.fall**2, 0.0)))
 
 
 @dataclass(frozen=True)
@@ -180,15 +189,17 @@ def _terms_alone(whole: Table, found: Alone, count: int, policy: Policy) -> tupl
         if name not in loads:
             terms.append(Term(of[name.term], name.value, name.stddev, 0.0, (), name.probability,
                               name.frequency, name.gained, name.named, name.rivals,
-                              name.whole))
+                              name.whole, name.fall))
     if loads:
         values = [name.value for name in loads]
-        stddev = float(np.sqrt(np.mean([name.stddev**2 for name in loads])))
+        stddev, fall = (rms([getattr(name, which) for name in loads])
+                        for which in ("stddev", "fall"))
         names = [name.term for name in found.names]
         rest = [name for name in names if name not in {one.term for one in loads}]
         both = [_left(whole, names), _left(whole, rest)]
+        there = np.sqrt(max(stddev**2 - fall**2, 0.0))
         named = max(map(abs, values)) > max(
-            policy.varied * stddev, policy.small * whole.size) and (
+            policy.varied * there, policy.small * whole.size) and (
                 both[1] > both[0] * np.exp(policy.alone))
         one = of[loads[0].term]
         terms.append(Term(
@@ -196,7 +207,7 @@ def _terms_alone(whole: Table, found: Alone, count: int, policy: Policy) -> tupl
             tuple(values) if count > 1 and len(loads) > 1 else (), policy.certain, 1.0,
             whole.effective * float(np.log(both[1] / both[0])), named,
             _instead(whole, rest, both[0], LOAD, policy) if named else (),
-            (rms(values), stddev)))
+            (rms(values), stddev), fall))
     return tuple(terms)
 
 
@@ -256,7 +267,8 @@ def of_machine(one: MachineBalance, courses: Sequence[Course], rig: Rig, scale: 
     forms = one.form_of
     sizes = [rms(np.atleast_1d(found[name].value)) for name in own]
     covariance = lasting + np.diag([rms(np.atleast_1d(found[name].stddev)) ** 2 for name in own])
-    wholes = dict(zip(own, wholes_of([of[name] for name in own], sizes, covariance), strict=True))
+    wholes = dict(zip(own, wholes_of(
+        [of[name] for name in own], sizes, covariance, np.zeros((1, len(own)))), strict=True))
     load = "F_0" if "F_0" in one.terms else ""
     if load:
         gained, t = together.gain(
@@ -324,7 +336,7 @@ def _nominal(whole: Table, balance: str, rig: Rig, policy: Policy
     names, held = nominal_of(balance, rig)
     values, chance = parameters_of(whole, names, held)
     lasting = form_and_doubts(whole, names, whole.rms(whole.crosswise(names, held)), policy)
-    stddev = np.hypot(chance, np.sqrt(np.diag(lasting))).tolist()
+    stddev = np.hypot(chance, np.sqrt(np.diag(lasting + by_falls(whole, names, values)))).tolist()
     return (*zip(names, values, stddev, strict=True),
             *((name, value, 0.0) for name, value in held.items()))
 

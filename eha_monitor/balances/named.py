@@ -38,7 +38,7 @@ def effects_of(model: Model, rig: Rig, policy: Policy, held: Effects) -> list[Na
     """
     named = [t for t in model.terms if (t.named or _leaks_more(t, policy))
              and t.candidate.name not in LINEAR and not _within_tolerance(t, rig, policy)
-             and (t.candidate.family == DRY or policy.sure(*t.quantity))]
+             and (t.candidate.family == DRY or policy.sure(*t.presence))]
     groups: dict[str, list[Term]] = {}
     for term in named:
         groups.setdefault(term.candidate.effect, []).append(term)
@@ -57,7 +57,7 @@ def _surest(groups: dict[str, list[Term]], policy: Policy) -> dict[str, list[Ter
     """
     def sure(name: str) -> float:
         return max(abs(value) / stddev if stddev else np.inf
-                   for value, stddev in (t.quantity for t in groups[name]))
+                   for value, stddev in (t.presence for t in groups[name]))
 
     best: dict[str, float] = {}
     for name, terms in groups.items():
@@ -79,7 +79,7 @@ def _dry_as_one(groups: dict[str, list[Term]], policy: Policy) -> dict[str, list
     stays = [t for t in terms if t.candidate.symbol == "F_c"]
     if not stays:
         return groups
-    sure = [t for t in falls if policy.sure(t.value, t.stddev)]
+    sure = [t for t in falls if policy.sure(*t.presence)]
     name = (sure or [ties.best(stays, lambda t: abs(t.value))])[0].candidate.effect
     return {name: stays + sure, **{effect: terms for effect, terms in groups.items()
                                    if effect not in dry}}
