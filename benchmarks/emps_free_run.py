@@ -20,6 +20,7 @@ from eha_monitor.mismatch.data.experiment import experiment_of
 from eha_monitor.mismatch.data.stretch import cut
 from eha_monitor.mismatch.likelihood.fit import Fit, free_run
 from eha_monitor.mismatch.name.naming import name_effects
+from eha_monitor.mismatch.name.select import begun
 from eha_monitor.physics.signals import M
 from eha_monitor.recordings.importing import read_table
 from eha_monitor.settings import load_settings
@@ -48,7 +49,7 @@ def main() -> None:
     split = len(stretch) - round(asked.last / whole.dt)
     seen, unseen = (cut(stretch, *span, whole.dt)
                     for span in ((0, split), (split, len(stretch))))
-    naming = name_effects(whole.only((seen,)))
+    naming = name_effects(begun(whole.only((seen,))))
     fit = naming.after
     print(f"named on the first {split * whole.dt:.1f} s: {', '.join(fit.named) or 'nothing'}; "
           + ", ".join(f"{f.name} {fit.value(f.name):.5g}" for f in fit.free)

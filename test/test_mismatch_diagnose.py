@@ -1,6 +1,7 @@
 """The diagnosis of short records from the concealed plant, whose equations are not the fit's."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,7 +17,8 @@ from eha_monitor.mismatch.diagnose import (
     verdict_of,
 )
 from eha_monitor.mismatch.diagnosis import VERDICTS, Diagnosis, SignalFit
-from eha_monitor.mismatch.holds import gained_under, late_as_held, searched
+from eha_monitor.mismatch.holds import gained_under, late_as_held, nominal_of, searched
+from eha_monitor.mismatch.name.before import informative
 from eha_monitor.mismatch.name.naming import Naming
 from eha_monitor.mismatch.name.select import nominal, settled
 from eha_monitor.mismatch.name.starts import starts_of, with_effect
@@ -216,14 +218,18 @@ def test_a_wrong_number_is_told_with_both_values_the_most_certain_first():
     assert found[1].statement.startswith("mass: the config says 20 kg, the recording 600")
 
 
+def gained(other, found):
+    return gained_under(other, nominal_of(informative(other)), found)
+
+
 def test_a_hold_that_the_bare_model_contradicts_is_taken_back():
     """Play and a saturated drive looked like a hold, and under it nothing fitted any more."""
     recording, settings = recorded(case_of("drive_saturation"))
     flowing, held = (experiment_of([recording], with_hold(settings, hold))
                      for hold in ("continuous", "sampled"))
     under_hold, under_none = (nominal(made)[1] for made in (held, flowing))
-    assert gained_under(flowing, under_hold) > 100.0
-    assert gained_under(held, under_none) < -100.0
+    assert gained(flowing, under_hold) > 100.0
+    assert gained(held, under_none) < -100.0
     assert other_hold(held.settings).command_hold == flowing.settings.command_hold
 
 
@@ -241,28 +247,31 @@ def test_a_set_is_compared_with_itself_under_the_other_hold():
 
     under_hold = fitted_with(held, "spring_load")
     bare = nominal(flowing)[1].log_likelihood - under_hold.log_likelihood
-    assert gained_under(flowing, under_hold) > max(bare, 0.0) + 100.0
-    assert gained_under(held, fitted_with(flowing, "spring_load", "position_delay")) < -100.0
+    assert gained(flowing, under_hold) > max(bare, 0.0) + 100.0
+    assert gained(held, fitted_with(flowing, "spring_load", "position_delay")) < -100.0
 
 
 @pytest.mark.parametrize("hold", ["continuous", "sampled"])
 def test_the_other_hold_is_asked_for_before_a_search_goes_on(hold):
     """What was found first is likelier without a hold: the search ends there, or never turns."""
     recording, settings = recorded(case_of("drive_saturation"))
-    searches = []
+    searches, ended = [], []
 
-    def search(experiment, may_end, doubt):
+    def begin(experiment, may_end):
         searches.append(experiment.settings.command_hold)
         fit = nominal(experiment)[1]
-        if doubt is not None:
-            doubt(fit)
-        return experiment, Naming(experiment, fit, fit)
+        return experiment, SimpleNamespace(found=fit, doubtful=True, experiment=experiment)
+
+    def name(search):
+        ended.append(search.experiment.settings.command_hold)
+        return Naming(search.experiment, search.found, search.found)
 
     def under(asked):
         return experiment_of([recording], asked, True)
 
     undecided = HoldDecision(hold, 5.0, False, "x_d")
-    found = searched(under, with_hold(settings, hold), undecided, False, search)
+    found = searched(under, with_hold(settings, hold), undecided, False, begin, name)
+    assert ended == ["continuous"]
     assert searches == (["continuous"] if hold == "continuous" else [hold, "continuous"])
     assert found.followed and found.experiment.settings.command_hold == "continuous"
     assert found.decision.decided is (hold == "sampled")

@@ -43,12 +43,11 @@ from eha_monitor.mismatch.learn.validated import (
     validated_term,
 )
 from eha_monitor.mismatch.likelihood.along import filtered_tracks
-from eha_monitor.mismatch.likelihood.fit import Fit
 from eha_monitor.mismatch.locate import location as locate
 from eha_monitor.mismatch.locate.terms import BALANCES, missing_terms
 from eha_monitor.mismatch.name.before import FirstView, at_its_angle, informative
 from eha_monitor.mismatch.name.naming import Naming, beyond_form, name_effects, on_all_of
-from eha_monitor.mismatch.name.select import lack_of, lacks
+from eha_monitor.mismatch.name.select import Search, begun, lack_of, lacks
 from eha_monitor.mismatch.name.unnamed import INTERMITTENT
 from eha_monitor.mismatch.policy import SearchPolicy
 from eha_monitor.mismatch.show import held_out as show
@@ -142,7 +141,8 @@ def _diagnosed(recordings: list[Recording], settings: Settings, held_out: Record
     end = searched(
         lambda under: at_its_angle(experiment_of(recordings, under, held_out is None, without)),
         held, decision, stands,
-        lambda experiment, may_end, doubt: named_in(experiment, say, first, may_end, doubt))
+        lambda experiment, may_end: begun_in(experiment, say, first, may_end),
+        lambda search: name_effects(search, lambda text, share: say(text, 0.85 * share)))
     experiment, decision, named = end.experiment, end.decision, end.named
     if not end.followed:
         if first is None or hypothesis is not None:
@@ -206,21 +206,20 @@ def follows(naming: Naming) -> bool:
         experiment, naming.after) <= experiment.policy.law * before)
 
 
-def named_in(experiment: Experiment, say: Report, first: Diagnosis | None = None,
-             may_end: bool = False, doubt: Callable[[Fit], None] | None = None
-             ) -> tuple[Experiment, Naming] | None:
-    """Name what the most informative windows show; None where the piston hardly moves.
+def begun_in(experiment: Experiment, say: Report, first: Diagnosis | None = None,
+             may_end: bool = False) -> tuple[Experiment, Search] | None:
+    """Begin a search in the most informative windows; None where the piston hardly moves.
 
     Parameters
     ----------
     first : what the balances answer.
-    may_end, doubt : see :func:`select.selected`.
+    may_end : see :class:`select.Search`.
     """
     if experiment.ranges.position < TRAVEL * experiment.noise[0]:
         return None
     windows = informative(experiment)
-    return windows, name_effects(windows, lambda text, share: say(text, 0.85 * share),
-                                 view_of(first), may_end, doubt)
+    return windows, begun(windows, lambda text, share: say(text, 0.85 * share),
+                          view_of(first), may_end)
 
 
 def view_of(first: Diagnosis | None) -> FirstView | None:

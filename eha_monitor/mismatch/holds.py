@@ -8,6 +8,7 @@ with something unexplained asks for the other.
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache
+from typing import Any
 
 import numpy as np
 
@@ -18,19 +19,11 @@ from eha_monitor.mismatch.name.before import informative
 from eha_monitor.mismatch.name.columns import effects_of
 from eha_monitor.mismatch.name.naming import Naming
 from eha_monitor.mismatch.name.refit import looked
-from eha_monitor.mismatch.name.select import Unfollowed, nominal_model
+from eha_monitor.mismatch.name.select import Search, Unfollowed, nominal_model
 from eha_monitor.mismatch.name.starts import without_effect
 from eha_monitor.settings.monitor import Settings
 
 HALF_LATE = ("command_delay.T", "position_delay.T")  # what a held command resembles
-
-
-class OtherHold(Exception):
-    """What a search has found first fits better under the other hold."""
-
-    def __init__(self, gained: float):
-        super().__init__(f"{gained:.0f} log units")
-        self.gained = gained
 
 
 @dataclass(frozen=True)
@@ -52,13 +45,13 @@ class Searched:
     followed: bool
 
 
-# (experiment, whether it may end by ``Unfollowed``, doubt) -> windows and names.
-Search = Callable[[Experiment, bool, Callable[[Fit], None] | None],
-                  tuple[Experiment, Naming] | None]
+Begun = tuple[Experiment, Search]
 
 
 def searched(under: Callable[[Settings], Experiment], held: Settings,
-             decision: HoldDecision | None, may_end: bool, search: Search) -> Searched:
+             decision: HoldDecision | None, may_end: bool,
+             begin: Callable[[Experiment, bool], Begun | None], name: Callable[[Search], Naming]
+             ) -> Searched:
     """Search under the hold that was decided, and under the other where that explains more.
 
     Where the hold is not decided, the other is asked for as soon as a gate refuses what was found
@@ -70,45 +63,50 @@ def searched(under: Callable[[Settings], Experiment], held: Settings,
     under : settings with a hold -> experiment.
     held : settings with the hold of the decision.
     may_end : whether a search may end by ``Unfollowed``.
-    search : gives the names in an experiment.
+    begin : (experiment, whether it may end so) -> windows, and a search begun in them; None where
+        the piston hardly moves.
+    name : ends a search.
     """
     experiment = under(held)
+    begun, followed = _followed(begin, experiment, may_end)
     if decision is None:
-        return Searched(experiment, None, *_followed(search, experiment, may_end, None))
+        return Searched(experiment, None, *_named(name, begun, followed))
     other = cache(lambda: under(other_hold(held)))
-
-    def doubt(fit: Fit) -> None:
-        gained = gained_under(other(), fit)
-        if gained > 0.0:
-            raise OtherHold(gained)
-
-    try:
-        named, followed = _followed(search, experiment, may_end,
-                                    None if decision.decided else doubt)
-    except OtherHold as better:
-        gained, followed = better.gained, False
-    else:
+    bare = cache(lambda: nominal_of(informative(other())))
+    gained = 0.0
+    if begun is not None and not decision.decided and begun[1].doubtful:
+        gained = gained_under(other(), bare(), begun[1].found)
+    if gained <= 0.0:
+        named, followed = _named(name, begun, followed)
         late = named is not None and not decision.decided and late_as_held(named[1])
+        stands = Searched(experiment, decision, named, followed)
         if followed and not late and not (
                 named and named[1].unexplained > experiment.policy.rival):
-            return Searched(experiment, decision, named, followed)
-        gained = gained_under(other(), named[1].after if named else
+            return stands
+        gained = gained_under(other(), bare(), named[1].after if named else
                               nominal_of(informative(experiment)))
         if gained <= (-CLEARLY if late else 0.0):
-            return Searched(experiment, decision, named, followed)
-    return Searched(other(), replace(
-        decision, hold=other().settings.command_hold, evidence=gained, decided=True),
-        *_followed(search, other(), may_end and not followed, None))
+            return stands
+        may_end = may_end and not followed
+    decision = replace(decision, hold=other().settings.command_hold, evidence=gained, decided=True)
+    return Searched(other(), decision, *_named(name, *_followed(begin, other(), may_end)))
 
 
-def _followed(search: Search, experiment: Experiment, may_end: bool,
-              doubt: Callable[[Fit], None] | None
-              ) -> tuple[tuple[Experiment, Naming] | None, bool]:
-    """Return the names, and whether a filter follows the recording at all."""
+def _followed(step: Callable, *arguments) -> tuple[Any, bool]:
+    """Return what a step of a search gives, and whether a filter follows the recording at all."""
     try:
-        return search(experiment, may_end, doubt), True
+        return step(*arguments), True
     except (Unfollowed, np.linalg.LinAlgError):  # no law is near, or no filter runs
         return None, False
+
+
+def _named(name: Callable[[Search], Naming], begun: Begun | None, followed: bool
+           ) -> tuple[tuple[Experiment, Naming] | None, bool]:
+    """Return windows and the names there, and whether a filter follows the recording."""
+    if begun is None:
+        return None, followed
+    naming, followed = _followed(name, begun[1])
+    return (begun[0], naming) if followed else None, followed
 
 
 def late_as_held(naming: Naming) -> bool:
@@ -130,7 +128,7 @@ def nominal_of(windows: Experiment) -> Fit | None:
         return None
 
 
-def gained_under(other: Experiment, found: Fit | None) -> float:
+def gained_under(other: Experiment, bare: Fit | None, found: Fit | None) -> float:
     """Return by how much a set fits better under another hold than where it was found, log units.
 
     The likeliest of it, of it without one of its effects and of the nominal model there, after a
@@ -140,13 +138,13 @@ def gained_under(other: Experiment, found: Fit | None) -> float:
     Parameters
     ----------
     other : the same samples and outputs, under another hold of the drive's command.
+    bare : the nominal model there; None where none runs.
     found : None where no filter runs.
     """
     def each(fit: Fit) -> float:
         return fit.log_likelihood / np.isfinite(fit.e).sum()
 
     windows = informative(other)
-    bare = nominal_of(windows)
     if found is None:
         return 0.0 if bare is None else np.inf
     sets = [found, *(without_effect(windows, found, name) for name in effects_of(found))]

@@ -47,7 +47,7 @@ from eha_monitor.mismatch.likelihood.gains import Unknowns
 from eha_monitor.mismatch.likelihood.information import Slope, Traces, free_slopes
 from eha_monitor.mismatch.name.naming import Naming, name_effects
 from eha_monitor.mismatch.name.refit import settled
-from eha_monitor.mismatch.name.select import nominal
+from eha_monitor.mismatch.name.select import begun, nominal
 from eha_monitor.mismatch.name.starts import limits_of, with_effect
 from eha_monitor.physics.effects import CATALOGUE, NAMES
 from eha_monitor.physics.parameters import place_of
@@ -316,7 +316,10 @@ def _advised(recordings: list[Recording], settings: Settings, check: bool, say: 
                          f"{quantity(moved, 'm', 2)} with "
                          f"{quantity(experiment.noise[0], 'm', 2)} of noise: any motion is more "
                          "informative")
-    naming = name_effects(experiment, lambda text, share: say(text, 0.6 * share))
+    def said(text, share):
+        say(text, 0.6 * share)
+
+    naming = name_effects(begun(experiment, said), said)
     found = advice(experiment, naming.after, naming.rivals, rival_fits(naming), check,
                    report=lambda text, share: say(text, 0.6 + 0.4 * share))
     return naming.after.named, found

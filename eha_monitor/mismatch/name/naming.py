@@ -11,13 +11,12 @@ from eha_monitor.mismatch.data.inputs import FORCED, OPEN
 from eha_monitor.mismatch.diagnosis import Gate, Piece
 from eha_monitor.mismatch.likelihood.fit import Fit, with_unknowns
 from eha_monitor.mismatch.likelihood.gains import Unknowns
-from eha_monitor.mismatch.name.before import FirstView
 from eha_monitor.mismatch.name.candidates import RIG, all_named, candidate
 from eha_monitor.mismatch.name.columns import runs_of
 from eha_monitor.mismatch.name.gram import evidences_at
 from eha_monitor.mismatch.name.posterior import plainness, posterior
 from eha_monitor.mismatch.name.refit import settled
-from eha_monitor.mismatch.name.select import Selection, selected
+from eha_monitor.mismatch.name.select import Search, Selection, finished
 from eha_monitor.mismatch.name.starts import limits_of
 from eha_monitor.mismatch.name.unnamed import INTERMITTENT, loads_of
 from eha_monitor.physics.effects import CATALOGUE
@@ -118,20 +117,21 @@ def form_only(experiment: Experiment, before: Fit, after: Fit) -> bool:
     return bool(left[1] < experiment.policy.law * left[0])
 
 
-def name_effects(experiment: Experiment, report: Report | None = None,
-                 first_view: FirstView | None = None, may_end: bool = False,
-                 doubt: Callable[[Fit], None] | None = None) -> Naming:
+def name_effects(search: Search, report: Report | None = None) -> Naming:
     """Find the effects and the wrong numbers of the rig that an experiment supports.
 
     Parameters
     ----------
+    search : begun in it, see :func:`select.begun`.
     report : called with what is done and how far it is, 0 to 1.
-    first_view, may_end : what least squares say, and whether that stands where no law of the
-        catalogue follows; see :func:`selected`.
-    doubt : see :func:`selected`.
+
+    Raises
+    ------
+    Unfollowed
+        If the search may end so.
     """
     say = report or (lambda text, share: None)
-    found = selected(experiment, say, first_view, may_end, doubt)
+    found = finished(search, say)
     say("fitting the nominal model to the end", 0.9)
     before = settled(found.experiment, found.nominal)
     return naming_of(found.experiment, found, before)

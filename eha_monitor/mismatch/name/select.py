@@ -113,6 +113,7 @@ class Search:
     view : what least squares name, until it was looked at.
     may_end : ends by :class:`Unfollowed` where no law follows; ``lack`` what the best model lacked
         after the round before, log units a sample.
+    bare : the nominal model with nothing of the rig free.
     """
 
     experiment: Experiment
@@ -127,6 +128,7 @@ class Search:
     view: FirstView | None = None
     may_end: bool = False
     lack: float = np.inf
+    bare: Fit | None = None
 
     @classmethod
     def at(cls, experiment: Experiment, nominal: Fit, sketch: bool = False,
@@ -141,10 +143,19 @@ class Search:
 
         Only where the search may end so.
         """
-        before, self.lack = self.lack, lack_of(
-            self.experiment, self.refits.fits[self.refits.best()])
+        before, self.lack = self.lack, lack_of(self.experiment, self.found)
         return self.may_end and self.lack > max(self.experiment.policy.lacking,
                                                 (1.0 - GAINED) * before)
+
+    @property
+    def found(self) -> Fit:
+        """The best model so far."""
+        return self.refits.fits[self.refits.best()]
+
+    @property
+    def doubtful(self) -> bool:
+        """Tell whether a gate refused what was found, or it lacks something."""
+        return bool(self.refits.refused) or lacks(self.experiment, self.found)
 
     def look_at_first_view(self) -> None:
         """Fit what least squares name, where what was found lacks something.
@@ -153,7 +164,7 @@ class Search:
         for hold it; least squares are linear and need no start.
         """
         view, self.view = self.view, None
-        if view is None or not lacks(self.experiment, self.refits.fits[self.refits.best()]):
+        if view is None or not lacks(self.experiment, self.found):
             return
         fit = view.entered(self.experiment, self.nominal)
         if fit is not None and np.isfinite(fit.log_likelihood):
@@ -247,10 +258,14 @@ def strayed(view: Linearised, refits: Refits) -> bool:
         own.evidence - own.prior > evidence_at_start(refits, view.here) + STRAYED)
 
 
-def selected(experiment: Experiment, say=lambda text, share: None,
-             first_view: FirstView | None = None, may_end: bool = False,
-             doubt: Callable[[Fit], None] | None = None) -> Selection:
-    """Find the set of effects and wrong numbers of the rig that a recording supports.
+def selected(experiment: Experiment, say=lambda text, share: None) -> Selection:
+    """Find the set of effects and wrong numbers of the rig that a recording supports."""
+    return finished(begun(experiment, say), say)
+
+
+def begun(experiment: Experiment, say=lambda text, share: None,
+          first_view: FirstView | None = None, may_end: bool = False) -> Search:
+    """Return a search after its first pass, judged by the gates.
 
     What is missing and large shows in a third of the samples as well as in all of them: the
     search is made there, and goes on with all of them from what it has found.
@@ -260,8 +275,6 @@ def selected(experiment: Experiment, say=lambda text, share: None,
     first_view : what least squares name: a set that is fitted from their numbers where all that
         was found lacks something.
     may_end : see :class:`Search`.
-    doubt : called once with what was found first, where a gate refused it or it lacks something;
-        what it raises ends the search.
 
     Raises
     ------
@@ -274,6 +287,7 @@ def selected(experiment: Experiment, say=lambda text, share: None,
     start = (settled(experiment, with_rig(experiment, first)) if near
              else nominal_model(experiment, within=True))
     search = Search.at(experiment, start, view=first_view, may_end=may_end)
+    search.bare = first
     if not search.refits.evidence:
         raise np.linalg.LinAlgError("the nominal model's evidence is singular")
     sketch = sketch_of(experiment, start)
@@ -281,22 +295,29 @@ def selected(experiment: Experiment, say=lambda text, share: None,
         say("searching a third of the samples", 0.1)
         found = explored(
             Search.at(sketch, with_unknowns(sketch, start), True, first_view, may_end), say)
-        if may_end and lack_of(sketch, found.refits.fits[found.refits.best()]
-                               ) > experiment.policy.lacking:
+        if may_end and lack_of(sketch, found.found) > experiment.policy.lacking:
             raise Unfollowed
         caught_up(sketch, found.refits)
         search.going_on_from(found)
-    refits, views, judged = search.refits, search.views, None
-    while refits.refused != judged:  # what hid behind a set that is no answer is sought as well
+    gated(experiment, explored(search, say).refits)
+    return search
+
+
+def finished(search: Search, say=lambda text, share: None) -> Selection:
+    """Return what a search ends with: what hid behind a set that is no answer is sought as well.
+
+    Raises
+    ------
+    Unfollowed
+        If it may end so.
+    """
+    refits, experiment, judged = search.refits, search.experiment, {}
+    while refits.refused != judged:
         judged = dict(refits.refused)
         gated(experiment, explored(search, say).refits)
-        found = refits.fits[refits.best()]
-        if doubt is not None and (refits.refused or lacks(experiment, found)):
-            doubt(found)
-        doubt = None
     best = refits.best()
     say("weighing effects not in the catalogue", 0.85)
-    return Selection(experiment, first, refits, views.get(best),
+    return Selection(experiment, search.bare, refits, search.views.get(best),
                      beside(experiment, best, refits.fits[best]))
 
 
