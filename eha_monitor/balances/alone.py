@@ -415,7 +415,10 @@ def form_and_doubts(table: Table, names: Sequence[str], error: float, policy: Po
     places = [table.places[name] for name in names]
     form = policy.coherent**2 * max((error * table.size) ** 2 - table.floor**2, 0.0) * table.n
     moved = movement(table, names)
-    return form * inverse_of(table.gram[np.ix_(places, places)]) + moved @ moved.T
+    lasting = moved @ moved.T
+    if form > 0.0:
+        lasting += form * inverse_of(table.gram[np.ix_(places, places)])
+    return lasting
 
 
 def moved_by_doubts(table: Table, names: Sequence[str]) -> np.ndarray:
@@ -426,8 +429,9 @@ def moved_by_doubts(table: Table, names: Sequence[str]) -> np.ndarray:
 def movement(table: Table, names: Sequence[str]) -> np.ndarray:
     """Return how far each parameter goes with each doubt of the left side, (k, doubts) SI."""
     places = [table.places[name] for name in names]
-    return inverse_of(table.gram[np.ix_(places, places)]) @ (
-        table.rows[table.good][:, places].T @ table.doubts[table.good])
+    inverse = inverse_of(table.gram[np.ix_(places, places)])
+    inverse[~np.isfinite(inverse)] = 0.0  # of what has no data, chance says it
+    return inverse @ (table.rows[table.good][:, places].T @ table.doubts[table.good])
 
 
 def chosen_on(table: Table, half: tuple[np.ndarray, np.ndarray], always: Sequence[str],
