@@ -11,6 +11,7 @@ from eha_monitor.balances.answer import Asked, first_answer
 from eha_monitor.estimation.hold_choice import HoldDecision, other_hold, with_hold
 from eha_monitor.mismatch.data.experiment import experiment_of
 from eha_monitor.mismatch.diagnose import (
+    contradicted,
     diagnose,
     explains_more,
     is_answer,
@@ -288,6 +289,29 @@ def test_laws_of_two_answers_are_compared_as_they_are_written():
     none = replace(first, config_effects={})
     assert not explains_more(none, first, [recording], settings)
     assert not explains_more(replace(first, signals={}), none, [recording], settings)
+
+
+def test_a_number_of_the_force_that_least_squares_contradict_is_no_answer():
+    """Scales of two pressure sensors stood for a load, with a B 59 deviations off."""
+    recording, settings = recorded(case_of("constant_load"))
+    first = first_answer([recording], settings, Asked())
+    b, load = first.after["B"], first.effects[0]
+    assert first.verdict == "mismatch" and load.name == "constant_load"
+
+    def said(value, *effects):
+        return replace(first, effects=effects, after={**first.after, "B": replace(
+            b, value=value, stddev=1e-3 * value)})
+
+    (gate,) = contradicted(first, said(1.3 * b.value))
+    assert gate.gate == "least_squares" and gate.what == "B"
+    assert f"{b.value:.3g}"[:2] in gate.statement
+    assert contradicted(first, said(b.value + 2.0 * b.stddev)) == ()
+    # Of a load of another size both are told; least squares without an effect say nothing.
+    larger = replace(load, parameters={"F_0": replace(
+        load.parameters["F_0"], value=2.0 * load.parameters["F_0"].value)})
+    assert [one.what for one in contradicted(first, said(b.value, larger))] == ["F_0"]
+    assert contradicted(replace(first, effects=()), said(1.3 * b.value)) == ()
+    assert contradicted(first, replace(said(1.3 * b.value), verdict="unexplained")) == ()
 
 
 @pytest.mark.parametrize(("effect", "samples", "held"), [

@@ -26,6 +26,7 @@ from eha_monitor.mismatch.data.experiment import Experiment, by_balances, experi
 from eha_monitor.mismatch.diagnosis import (
     Considered,
     Diagnosis,
+    Gate,
     LearnedTerm,
     Location,
     NamedEffect,
@@ -67,7 +68,7 @@ from eha_monitor.mismatch.show.model import (
 )
 from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.physics.parameters import place_of
-from eha_monitor.quantity import number, quantity, share
+from eha_monitor.quantity import number, quantity, share, with_uncertainty
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings.hypothesis import Hypothesis
 from eha_monitor.settings.monitor import Settings
@@ -155,6 +156,10 @@ def _diagnosed(recordings: list[Recording], settings: Settings, held_out: Record
             first, found, recordings if held_out is None else [held_out],
             experiment.settings)):
         return by_first(first, started), None
+    apart = () if hypothesis is not None or first is None else contradicted(first, found)
+    if apart and not explains_more(found, first, recordings if held_out is None else [held_out],
+                                   experiment.settings):
+        return by_first(replace(first, gates=(*first.gates, *apart)), started), None
     # Innovations of another form than the config's laws are no mismatch of this machine, and no
     # balance is theirs.
     unanswered = found.verdict == "unexplained" and not found.learned
@@ -193,6 +198,42 @@ def explains_more(first: Diagnosis, found: Diagnosis, recordings: list[Recording
             "effects": answer.config_effects, "rig": settings.rig.model_copy(update=numbers)}))
 
     return left(found) - left(first) > policy.worse * force.signal_rms
+
+
+def contradicted(first: Diagnosis, found: Diagnosis, policy: Policy = POLICY
+                 ) -> tuple[Gate, ...]:
+    """Return the gate of a filter's answer in which a number of the force is not least squares'.
+
+    Only where these name an effect of the force: they have what the filter's laws may lack (a law
+    of another form, an unknown force of each moment), and need no start.  A filter that is sure of
+    another B has found a family of numbers that make up for one another, such as scales of sensors
+    in the place of a load.
+    """
+    if first.verdict != "mismatch" or found.verdict != "mismatch":
+        return ()
+    mine, theirs = _of_the_force(first), _of_the_force(found)
+    if not mine.keys() - {"B"}:  # what goes with speed may be damping of another form
+        return ()
+    gates = []
+    for symbol in mine.keys() & theirs.keys():
+        a, b = theirs[symbol], mine[symbol]
+        if abs(a.value - b.value) > policy.varied * np.hypot(a.stddev, b.stddev):
+            gates.append(Gate("least_squares", symbol, (
+                f"the filter's {symbol} is {with_uncertainty(a.value, a.stddev, a.unit)}, that of "
+                "least squares on the force balance "
+                f"{with_uncertainty(b.value, b.stddev, b.unit)}, and its laws leave no less of "
+                "the force on unseen data")))
+    return tuple(sorted(gates, key=lambda gate: gate.what))
+
+
+def _of_the_force(answer: Diagnosis) -> dict[str, Value]:
+    """Return the numbers of the force balance that an answer states: B, and sizes of effects."""
+    found = {"B": answer.after["B"]} if "B" in answer.after else {}
+    for effect in answer.effects:
+        if effect.balance == "force" and effect.name in CATALOGUE:
+            found |= {one.name: effect.parameters[one.name] for one in CATALOGUE[effect.name].sizes
+                      if one.name in effect.parameters and np.isfinite(one.neutral)}
+    return found
 
 
 def follows(naming: Naming) -> bool:

@@ -263,7 +263,7 @@ class Gate:
 
     Attributes
     ----------
-    gate : ``unseen_error``, ``bound``, ``member`` or ``sign``.
+    gate : ``unseen_error``, ``bound``, ``member``, ``sign``, ``curve`` or ``least_squares``.
     what : effect, ``rig.<key>`` or signal that failed.
     statement : one sentence: which check, with its numbers.
     """
