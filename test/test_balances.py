@@ -13,6 +13,7 @@ from eha_monitor.balances.baseline import baseline
 from eha_monitor.balances.candidates import Scale, candidates_of
 from eha_monitor.balances.changed import against
 from eha_monitor.balances.course import course_of
+from eha_monitor.balances.least_squares import unexcluded
 from eha_monitor.balances.parameters import compressibility
 from eha_monitor.balances.policy import POLICY
 from eha_monitor.balances.scatter import amplitudes_of
@@ -208,6 +209,33 @@ def test_dry_friction_of_any_shape_is_told_as_a_force(settings):
     rise = change.now.value - change.reference.value
     assert rise == pytest.approx(90.0, rel=0.15)
     assert 180.0 < change.reference.value < 250.0  # with what of the rise the motion shows
+
+
+@pytest.mark.parametrize("positive", [False, True])
+def test_what_a_column_may_add_is_integrated(positive):
+    """Beside a quadrature over its weight: moments, evidence, and how far the others go."""
+    rng = np.random.default_rng(3)
+    columns, column = rng.standard_normal((40, 2)), rng.standard_normal(40)
+    y = columns @ [2.0, -1.0] + 0.3 * column + 0.8 * rng.standard_normal(40)
+    noise = 5.0
+
+    def least(weight):
+        """Parameters and squares that are left with a given weight."""
+        found = np.linalg.lstsq(columns, y - weight * column, rcond=None)[0]
+        return found, float(np.sum((y - weight * column - columns @ found) ** 2))
+
+    bare, without = least(0.0)
+    moves, mean, variance, log = unexcluded(columns, column, y - columns @ bare, noise, positive)
+    np.testing.assert_allclose(bare + moves, least(1.0)[0], rtol=1e-9)
+    weights = np.linspace(0.0 if positive else -8.0, 8.0, 4001)
+    density = np.exp([0.5 * (without - least(w)[1]) / noise - 0.5 * w**2 for w in weights])
+    density *= (2.0 if positive else 1.0) / np.sqrt(2.0 * np.pi)
+    total = np.trapezoid(density, weights)
+    by_hand = np.trapezoid(density * weights, weights) / total
+    assert log == pytest.approx(np.log(total), abs=1e-4)
+    assert mean == pytest.approx(by_hand, rel=1e-4)
+    assert variance == pytest.approx(
+        np.trapezoid(density * (weights - by_hand) ** 2, weights) / total, rel=1e-3)
 
 
 def test_a_fall_with_speed_that_no_speed_shows_is_in_the_deviations(settings):

@@ -335,30 +335,38 @@ def by_falls(table: Table, names: Sequence[str], values: Sequence[float]) -> np.
     columns = rows[:, [table.places[name] for name in names]]
     family = np.array([of[name].family == DRY for name in names], dtype=bool)
     upon = family & np.array([bool(of[name].upon) for name in names], dtype=bool)
-    dry, ways = family & ~upon, [columns[:, upon], table.falls[table.good]]
-    size = FALL
+    dry, amplitude = family & ~upon, upon
+    if not upon.any():  # damping by the square of speed bends the curve as a fall does
+        upon = np.array([name == "a_1" for name in names], dtype=bool)
+    ways, size = [columns[:, upon], table.falls[table.good]], FALL
     if not dry.any():
-        dry, ways = np.array(names) == "B", [table.turning[table.good]]
-        size = 1.0 / max(float(np.sqrt(np.mean(ways[0] ** 2))), 1e-300)  # it may be all of it
+        dry, ways = np.array(names) == "B", [columns[:, upon], table.turning[table.good]]
+        size = 1.0 / max(_rms(ways[1]), 1e-300)  # it may be all of it
     if not dry.any():
         return np.zeros((len(names), len(names)))
-    size *= float(np.sqrt(np.mean((columns[:, dry] @ values[dry]) ** 2)))
+    size *= _rms(columns[:, dry] @ values[dry])
     noise = float(np.mean((rows[:, 0] - columns @ values) ** 2)) * table.full[1]
     rest, base = columns[:, ~upon], values[~upon]
     if upon.any():
         base = np.linalg.lstsq(rest, rows[:, 0], rcond=None)[0]
     left = rows[:, 0] - rest @ base
     shifts, evidence = [np.zeros((len(names), len(names)))], [0.0]
-    for way in np.hstack(ways).T:
-        moves, mean, variance, log = unexcluded(rest, size * way, left, noise, True)
-        slope, start = np.full(len(names), size), np.zeros(len(names))
+    for i, way in enumerate(np.hstack(ways).T):
+        own = i < upon.sum() and not amplitude.any()
+        unit = size / max(_rms(way), 1e-300) if own else size
+        moves, mean, variance, log = unexcluded(rest, unit * way, left, noise, True)
+        slope, start = np.where(amplitude | (own & upon), unit, 0.0), np.zeros(len(names))
         slope[~upon], start[~upon] = moves, base
         shift = start + mean * slope - values
         shifts.append(np.outer(shift, shift) + variance * np.outer(slope, slope))
         evidence.append(log)
-    first = int(upon.any())  # a fall that is named is there: only which it is stays open
+    first = int(upon.any())  # a bend that is named is there: only which it is stays open
     odds = np.exp(np.array(evidence) - max(evidence))[first:]
     return np.tensordot(odds, shifts[first:], 1) / odds.sum()
+
+
+def _rms(values: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(values**2)))
 
 
 def wholes_of(terms: Sequence[Candidate], values: Sequence[float], covariance: np.ndarray,
