@@ -10,6 +10,8 @@ from strangers.generate import record, truth_of
 from strangers.rigs import CHIRP
 from wrong_inputs import Trial
 
+from eha_monitor.balances.answer import answered
+
 BY_NAME = {mistake.name: mistake for mistake in MISTAKES}
 
 
@@ -76,3 +78,14 @@ def finding(kind, channels, text, correction=None):
 ])
 def test_the_score_of_what_is_said(name, answer, full, place):
     assert named(answer, BY_NAME[name].truths) == (full, place)
+
+
+@pytest.mark.parametrize("k", [0, 1])
+def test_a_load_within_the_areas_tolerance_leaves_nothing_open(k):
+    """A healthy rig whose bore is a little off: at 30 bar that is more force than its motion."""
+    rig = draw_rig(290201, 2)
+    recording, settings = record(rig, rig.settings[k], 290201 + k)
+    assert not truth_of(rig, rig.settings[k])["effects"]
+    found = answered([recording], settings)
+    assert found.verdict == "consistent" and not found.effects
+    assert found.signals["force"].before_rms > 0.3 * found.signals["force"].signal_rms

@@ -19,7 +19,7 @@ from eha_monitor.balances.candidates import (
 from eha_monitor.balances.course import Course, course_of, courses_of
 from eha_monitor.balances.machine import Machine, machine_from, pressure_varied, rms
 from eha_monitor.balances.mean_pressure import leak_or_source
-from eha_monitor.balances.model import Model, of_machine, of_recordings, on_held_out
+from eha_monitor.balances.model import LOAD, Model, of_machine, of_recordings, on_held_out
 from eha_monitor.balances.named import (
     DRY_SYMBOLS,
     LINEAR,
@@ -294,10 +294,15 @@ def agrees(model: Model, policy: Policy) -> bool:
     """Tell whether the config's own model explains a balance.
 
     It leaves less than ``near``, and a model with more terms no less than ``open`` of that; or
-    little.
+    little.  Or what it leaves is a constant load within the areas' tolerance, of which each bar of
+    mean pressure makes some.
     """
-    floor = policy.clean * model.floor / model.size
-    return model.nominal_error <= max(floor, policy.small) or (
+    little = max(policy.clean * model.floor / model.size, policy.small)
+    more = [term for term in model.terms if term.candidate.name not in LINEAR]
+    if more and model.error <= little and all(
+            term.candidate.effect == LOAD and not policy.sure(*term.presence) for term in more):
+        return True
+    return model.nominal_error <= little or (
         model.nominal_error <= policy.near
         and model.error >= policy.open * model.nominal_error)
 
