@@ -14,14 +14,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from eha_monitor.balances.candidates import DRY, Candidate, founded
-from eha_monitor.balances.least_squares import from_absent, inverse_of, signed_solution, unexcluded
+from eha_monitor.balances.bends import by_falls
+from eha_monitor.balances.candidates import Candidate, founded
+from eha_monitor.balances.least_squares import from_absent, inverse_of, signed_solution
 from eha_monitor.balances.policy import Policy
 from eha_monitor.balances.table import Table
 from eha_monitor.quantity import quantity, share
 
 MOST_TERMS = 8
-FALL = 0.5  # of dry friction: what a Stribeck curve takes of it
 FIRST_VIEW = ("F_c", "dM")  # what ten lines of least squares have beside B and F_0
 
 
@@ -33,7 +33,7 @@ class Name:
     ----------
     term, effect : the candidate's.
     value, stddev : SI.
-    fall : of the deviation that of :func:`by_falls`: it leaves open a size, not that it is there.
+    fall : of the deviation that of :func:`bends.by_falls`, which leaves a size open, no name.
     frequency : share of the halves in which the effect, or one of its family, came up.
     probability : calibrated and capped.
     gained : log units that the balance loses without it.
@@ -319,54 +319,6 @@ def between_forms(of: Mapping[str, Candidate], allowed: Sequence[str], kept: Seq
             found = np.asarray(parameters([*kept, name]))[: len(kept)]
             moved.append(np.where(grow, found - values, 0.0))
     return np.array(moved)
-
-
-def by_falls(table: Table, names: Sequence[str], values: Sequence[float]) -> np.ndarray:
-    """Return the mean squared shifts of parameters by how friction falls with speed, (k, k) SI.
-
-    Dry friction falls with speed (Stribeck), by ``FALL`` of itself or so.  Where it falls more
-    slowly than the recording moves, F_c is the friction there, and damping takes up the slope;
-    where a fall is seen, how far it goes on at rest is a matter of that speed.  The mean is over
-    the speeds of :attr:`Table.falls`, each as likely as it makes the recording.  Where no dry
-    friction is seen, what passes for damping may be one that has not turned round yet.
-    """
-    of = {one.name: one for one in table.candidates}
-    rows, values = table.rows[table.good], np.asarray(values)
-    columns = rows[:, [table.places[name] for name in names]]
-    family = np.array([of[name].family == DRY for name in names], dtype=bool)
-    upon = family & np.array([bool(of[name].upon) for name in names], dtype=bool)
-    dry, amplitude = family & ~upon, upon
-    if not upon.any():  # damping by the square of speed bends the curve as a fall does
-        upon = np.array([name == "a_1" for name in names], dtype=bool)
-    ways, size = [columns[:, upon], table.falls[table.good]], FALL
-    if not dry.any():
-        dry, ways = np.array(names) == "B", [columns[:, upon], table.turning[table.good]]
-        size = 1.0 / max(_rms(ways[1]), 1e-300)  # it may be all of it
-    if not dry.any():
-        return np.zeros((len(names), len(names)))
-    size *= _rms(columns[:, dry] @ values[dry])
-    noise = float(np.mean((rows[:, 0] - columns @ values) ** 2)) * table.full[1]
-    rest, base = columns[:, ~upon], values[~upon]
-    if upon.any():
-        base = np.linalg.lstsq(rest, rows[:, 0], rcond=None)[0]
-    left = rows[:, 0] - rest @ base
-    shifts, evidence = [np.zeros((len(names), len(names)))], [0.0]
-    for i, way in enumerate(np.hstack(ways).T):
-        own = i < upon.sum() and not amplitude.any()
-        unit = size / max(_rms(way), 1e-300) if own else size
-        moves, mean, variance, log = unexcluded(rest, unit * way, left, noise, True)
-        slope, start = np.where(amplitude | (own & upon), unit, 0.0), np.zeros(len(names))
-        slope[~upon], start[~upon] = moves, base
-        shift = start + mean * slope - values
-        shifts.append(np.outer(shift, shift) + variance * np.outer(slope, slope))
-        evidence.append(log)
-    first = int(upon.any())  # a bend that is named is there: only which it is stays open
-    odds = np.exp(np.array(evidence) - max(evidence))[first:]
-    return np.tensordot(odds, shifts[first:], 1) / odds.sum()
-
-
-def _rms(values: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(values**2)))
 
 
 def wholes_of(terms: Sequence[Candidate], values: Sequence[float], covariance: np.ndarray,

@@ -38,6 +38,9 @@ BENT = (0.005, 0.015, 0.05, 0.15)
 SLACK = tuple(round(0.03 * 1.4**k, 4) for k in range(8))
 TURNS = (0.1, 0.3)
 SLOW = (0.03, 0.1, 0.3)
+# Speeds over which friction falls, m/s: Armstrong-Helouvry, Dupont and Canudas de Wit 1994; of a
+# rotary machine, whose levers nobody knows, as shares of the top speed.
+FALLS, SHARES = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05), (0.01, 0.02, 0.05, 0.1, 0.3, 1.0)
 TOPS = (0.999, 0.98, 0.9)  # quantiles of the pump's speed at which its drive may saturate
 MASS = 5.0  # times the config's: oil in lines moves with the piston, but not more than that
 AIR_EXPONENT = 1.4  # adiabatic
@@ -316,6 +319,17 @@ def force_candidates(scale: Scale, rig: Rig) -> tuple[Candidate, ...]:
             lambda c, r, i=i: np.cos(i * np.pi * (c.x - origin) / scale.span),
             family="position", odd=False))
     return tuple(found)
+
+
+def falls_of(course: Course, rig: Rig) -> tuple[np.ndarray, np.ndarray]:
+    """Return friction of 1 N at rest that falls over each of ``FALLS``, in the band, (m, 12) N.
+
+    By exp(-|v|/v_s) and by exp(-(v/v_s)^2).  And one that turns round over the first, (m, 1) N.
+    """
+    falls = np.array(FALLS) if rig.motion == "linear" else course.speed * np.array(SHARES)
+    shares = course.v[:, None] / np.maximum(falls, 1e-300)
+    falling = course.direction[:, None] * np.exp(-np.hstack([np.abs(shares), shares**2]))
+    return course.in_band(falling), course.in_band(np.tanh(shares[:, :1]))
 
 
 def later(course: Course) -> np.ndarray:

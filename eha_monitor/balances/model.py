@@ -15,11 +15,11 @@ from eha_monitor.balances.alone import (
     Alone,
     Refused,
     alone,
-    by_falls,
     form_and_doubts,
     parameters_of,
     wholes_of,
 )
+from eha_monitor.balances.bends import by_falls
 from eha_monitor.balances.candidates import Candidate, Scale, candidates_of
 from eha_monitor.balances.course import Course
 from eha_monitor.balances.least_squares import from_absent

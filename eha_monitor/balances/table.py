@@ -6,16 +6,13 @@ from functools import cached_property
 
 import numpy as np
 
-from eha_monitor.balances.candidates import Candidate
+from eha_monitor.balances.candidates import Candidate, falls_of
 from eha_monitor.balances.course import Course, slope
 from eha_monitor.balances.least_squares import independent, signed_solution, weights_of
 from eha_monitor.balances.policy import Policy
 from eha_monitor.settings.rig import Rig
 
 CANCELS, TOP = 2.0, 0.998  # quantile that is a column's largest value
-# Speeds over which friction falls, m/s: Armstrong-Helouvry, Dupont and Canudas de Wit 1994; of a
-# rotary machine, whose levers nobody knows, as shares of the top speed.
-FALLS, SHARES = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05), (0.01, 0.02, 0.05, 0.1, 0.3, 1.0)
 PARTS = 8  # of a short recording at least, so that some can be left out
 
 
@@ -38,7 +35,7 @@ class Table:
     known : (m,) what the config says of the left side.
     doubts : (m, j) by what the left side may be wrong, one standard deviation each: channels that
         are late by the course's skew, areas within their tolerance.
-    falls, turning : (m, 12) and (m, 1), see :func:`falls_of`.
+    falls, turning : (m, 12) and (m, 1), see :func:`candidates.falls_of`.
     """
 
     source: str
@@ -224,17 +221,6 @@ def doubts_of(course: Course, rig: Rig, balance: str, whole: np.ndarray) -> list
         found.append(rig.tolerance.log_spread("area_2") * np.where(
             course.pumped_side < 0.0, whole, 0.0))
     return found
-
-
-def falls_of(course: Course, rig: Rig) -> tuple[np.ndarray, np.ndarray]:
-    """Return friction of 1 N at rest that falls over each of ``FALLS``, in the band, (m, 12) N.
-
-    By exp(-|v|/v_s) and by exp(-(v/v_s)^2).  And one that turns round over the first, (m, 1) N.
-    """
-    falls = np.array(FALLS) if rig.motion == "linear" else course.speed * np.array(SHARES)
-    shares = course.v[:, None] / np.maximum(falls, 1e-300)
-    falling = course.direction[:, None] * np.exp(-np.hstack([np.abs(shares), shares**2]))
-    return course.in_band(falling), course.in_band(np.tanh(shares[:, :1]))
 
 
 def nominal_of(balance: str, rig: Rig) -> tuple[tuple[str, ...], dict[str, float]]:
