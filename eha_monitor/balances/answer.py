@@ -27,6 +27,7 @@ from eha_monitor.balances.named import (
     effects_of,
     error_of_area,
     made_by,
+    within_tolerance,
     wrong_numbers,
 )
 from eha_monitor.balances.parameters import Stiffness, stiffness_of
@@ -217,7 +218,7 @@ def _composed(models: Sequence[Model], courses: Sequence[Course], settings: Sett
     open_ = [one for one in models if is_open(one, policy) and one.balance not in varying]
     blamed = {one.balance for one in effects} | {SIDE_OF[one.key] for one in wrong}
     unsure = [one for one in models
-              if one.balance not in blamed and not agrees(one, policy)]
+              if one.balance not in blamed and not agrees(one, rig, policy)]
     verdict = ("mismatch" if blamed and not open_ else
                "unexplained" if open_ or unsure else "consistent")
     stiffness = stiffness_of(courses, rig)
@@ -290,17 +291,19 @@ def only_load(model: Model, policy: Policy) -> bool:
             and model.error <= policy.open * model.nominal_error)
 
 
-def agrees(model: Model, policy: Policy) -> bool:
+def agrees(model: Model, rig: Rig, policy: Policy) -> bool:
     """Tell whether the config's own model explains a balance.
 
     It leaves less than ``near``, and a model with more terms no less than ``open`` of that; or
-    little.  Or what it leaves is a constant load within the areas' tolerance, of which each bar of
-    mean pressure makes some.
+    little.  Or what it leaves is within the config's tolerances: a mass, or a constant load, of
+    which areas that are a little off make some with each bar of mean pressure.
     """
     little = max(policy.clean * model.floor / model.size, policy.small)
     more = [term for term in model.terms if term.candidate.name not in LINEAR]
     if more and model.error <= little and all(
-            term.candidate.effect == LOAD and not policy.sure(*term.presence) for term in more):
+            within_tolerance(term, rig, policy) or (
+                term.candidate.effect == LOAD and not policy.sure(*term.presence))
+            for term in more):
         return True
     return model.nominal_error <= little or (
         model.nominal_error <= policy.near

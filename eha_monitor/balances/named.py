@@ -37,7 +37,7 @@ def effects_of(model: Model, rig: Rig, policy: Policy, held: Effects) -> list[Na
     held : effects of the config, which the terms add to.
     """
     named = [t for t in model.terms if (t.named or _leaks_more(t, policy))
-             and t.candidate.name not in LINEAR and not _within_tolerance(t, rig, policy)
+             and t.candidate.name not in LINEAR and not within_tolerance(t, rig, policy)
              and (t.candidate.family == DRY or policy.sure(*t.presence))]
     groups: dict[str, list[Term]] = {}
     for term in named:
@@ -237,7 +237,7 @@ def _configured(term: Term, rig: Rig) -> tuple[str, float, Value] | None:
     return key, configured, Value(value, float(np.hypot(slope * term.stddev, area)), unit)
 
 
-def _within_tolerance(term: Term, rig: Rig, policy: Policy) -> bool:
+def within_tolerance(term: Term, rig: Rig, policy: Policy) -> bool:
     """Tell whether a number of the config may be what a term says of it, by its tolerance."""
     found = _configured(term, rig)
     if found is None:
@@ -258,7 +258,7 @@ def wrong_numbers(model: Model, rig: Rig, policy: Policy) -> list[RigFinding]:
     found = []
     for term in model.terms:
         one = _configured(term, rig)
-        if one is None or not np.isfinite(term.stddev) or _within_tolerance(term, rig, policy):
+        if one is None or not np.isfinite(term.stddev) or within_tolerance(term, rig, policy):
             continue
         key, configured, now = one
         if key == "leakage" or (key == "mass" and (term.value > 0.0 or not term.named)):
