@@ -23,6 +23,7 @@ from eha_monitor.balances.baseline import (
     flow_columns,
     force_fit,
 )
+from eha_monitor.balances.bends import FALL
 from eha_monitor.balances.course import (
     BAND,
     Course,
@@ -41,8 +42,7 @@ from eha_monitor.settings.rig import Rig
 CLEAR = 5.0  # times the noise of a regressor: its noise then draws the parameter by 4 % at most
 LEAST_S, EVERY_S = 5.0, 2.0  # of rows that a first look needs, and how often one is made
 MOST = 200  # looks at one recording
-WIDE = 1.0  # of the top speed, over which friction may fall as well, beside ``SLOW`` ...
-FALL = 0.5  # ... by so much of itself: what a Stribeck curve does
+WIDE = 1.0  # of the top speed, over which friction may fall as well, beside ``SLOW``
 BANDS = BAND, 4.0 * BAND  # Hz: the next one where a motion is too quick for the one before
 HELD = 0.7  # of the force's rms: less within a band, and its balances say nothing of the motion
 

@@ -132,11 +132,13 @@ class Search:
 
     @classmethod
     def at(cls, experiment: Experiment, nominal: Fit, sketch: bool = False,
-           view: FirstView | None = None, may_end: bool = False) -> "Search":
+           view: FirstView | None = None, may_end: bool = False, bare: Fit | None = None
+           ) -> "Search":
         """Return a search at its beginning."""
         refits = Refits(experiment.policy)
         refits.add(experiment, frozenset(), nominal)
-        return cls(experiment, nominal, refits, sketch, ended=sketch, view=view, may_end=may_end)
+        return cls(experiment, nominal, refits, sketch, ended=sketch, view=view, may_end=may_end,
+                   bare=bare)
 
     def gained_nothing(self) -> bool:
         """Tell whether the best model lacks a log unit a sample, after the last round as before.
@@ -286,8 +288,7 @@ def begun(experiment: Experiment, say=lambda text, share: None,
     near = leans_less(experiment, first)
     start = (settled(experiment, with_rig(experiment, first)) if near
              else nominal_model(experiment, within=True))
-    search = Search.at(experiment, start, view=first_view, may_end=may_end)
-    search.bare = first
+    search = Search.at(experiment, start, view=first_view, may_end=may_end, bare=first)
     if not search.refits.evidence:
         raise np.linalg.LinAlgError("the nominal model's evidence is singular")
     sketch = sketch_of(experiment, start)
