@@ -1,9 +1,15 @@
 """A spring that is relaxed at x = 0, by least squares on the force balance."""
 
+from dataclasses import replace
+
 import pytest
 from rig_tools import settings, simulated
 
 from eha_monitor.balances.answer import answered
+from eha_monitor.balances.candidates import Scale, candidates_of
+from eha_monitor.balances.course import course_of
+from eha_monitor.balances.policy import POLICY
+from eha_monitor.balances.table import tables_of
 
 MOTION = {"kind": "multisine", "amplitude": 0.02, "frequency": 0.1, "frequency_end": 2.0,
           "duration": 20.0}
@@ -22,3 +28,20 @@ def test_a_spring_brings_no_load_of_its_own(load):
     assert named["spring_load"].parameters["k"].value == pytest.approx(3000.0, rel=0.02)
     assert ("constant_load" in named) is bool(load)
 
+
+
+def test_how_large_a_spring_may_be_does_not_depend_on_where_its_column_begins():
+    """It begins where the motion does: on a short stroke its load there is twice what is measured.
+
+    A spring of 5.6 kN/m was then beyond what the rig can have, and told as a load over the stroke.
+    """
+    config = settings()
+    course = course_of(spring(0.0), config)
+    scale = Scale.of([course])
+
+    def reach(origin):
+        (table,) = tables_of([course], config.rig, "force", candidates_of(
+            "force", replace(scale, origin=origin), config.rig, ()), POLICY)
+        return table.reach[table.places["k"]]
+
+    assert reach(scale.origin - 0.5) == pytest.approx(reach(scale.origin), rel=1e-6)

@@ -104,10 +104,13 @@ class Table:
         """Largest parameter of each term, (1 + k,): its limit, and what more would cancel.
 
         A term that is larger than ``CANCELS`` times the whole left side only makes up for another.
+        Of a load over the stroke the mean is none of it: that is the constant load's.
         """
         whole = np.quantile(np.abs(self.rows[self.good, 0] + self.known[self.good]), TOP)
+        mean = self.rows[self.good].mean(axis=0) * [0, *(
+            one.family == "position" for one in self.candidates)]
         most = CANCELS * whole / np.maximum(
-            np.quantile(np.abs(self.rows[self.good]), TOP, axis=0), 1e-300)
+            np.quantile(np.abs(self.rows[self.good] - mean), TOP, axis=0), 1e-300)
         # A force beyond any that was measured is the tail of a law at speeds that were not.
         limits = [min(one.limit, CANCELS * whole) if one.unit == "N" else one.limit
                   for one in self.candidates]
