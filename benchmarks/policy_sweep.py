@@ -92,9 +92,9 @@ def weighed_with(experiment):
     """Return policy -> names and their rivals, of one search."""
     from eha_monitor.mismatch.name.naming import naming_of
     from eha_monitor.mismatch.name.refit import settled
-    from eha_monitor.mismatch.name.select import selected
+    from eha_monitor.mismatch.name.select import begun, finished
 
-    found = selected(experiment)
+    found = finished(begun(experiment))
     before = settled(found.experiment, found.nominal)
 
     def said(policy):

@@ -220,7 +220,8 @@ def test_a_wrong_number_is_told_with_both_values_the_most_certain_first():
 
 
 def gained(other, found):
-    return gained_under(other, nominal_of(informative(other)), found)
+    windows = informative(other)
+    return gained_under(windows, nominal_of(windows), found)
 
 
 def test_a_hold_that_the_bare_model_contradicts_is_taken_back():

@@ -17,7 +17,8 @@ from eha_monitor.balances.candidates import (
     candidates_of,
 )
 from eha_monitor.balances.course import Course, course_of, courses_of
-from eha_monitor.balances.machine import Machine, machine_from, pressure_varied, rms
+from eha_monitor.balances.least_squares import rms
+from eha_monitor.balances.machine import Machine, machine_from, pressure_varied
 from eha_monitor.balances.mean_pressure import leak_or_source
 from eha_monitor.balances.model import LOAD, Model, of_machine, of_recordings, on_held_out
 from eha_monitor.balances.named import (

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from eha_monitor.balances.candidates import DRY
-from eha_monitor.balances.least_squares import unexcluded
+from eha_monitor.balances.least_squares import rms, unexcluded
 from eha_monitor.balances.table import Table
 
 FALL = 0.5  # of dry friction: what a Stribeck curve takes of it
@@ -35,13 +35,14 @@ def by_falls(table: Table, names: Sequence[str], values: Sequence[float]) -> np.
     dry = _which(of[name].family == DRY and not of[name].upon for name in names)
     # Damping by the square of speed bends the curve as a fall does.
     bends = falls if falls.any() else _which(name == "a_1" for name in names)
-    ways, size = table.falls, FALL
-    if not dry.any():
-        dry, ways = _which(name == "B" for name in names), table.turning
-        size = 1.0 / max(_rms(ways[table.good]), 1e-300)  # it may be all of the damping
+    seen = dry.any()
+    if not seen:
+        dry = _which(name == "B" for name in names)
     if not dry.any():
         return np.zeros((len(names), len(names)))
-    size *= _rms(columns[:, dry] @ values[dry])
+    ways = (table.falls if seen else table.turning)[table.good]
+    share = FALL if seen else 1.0 / max(rms(ways), 1e-300)  # it may be all of the damping
+    size = share * rms(columns[:, dry] @ values[dry])
     noise = float(np.mean((rows[:, 0] - columns @ values) ** 2)) * table.full[1]
     rest, base = columns[:, ~bends], values[~bends]
     if bends.any():
@@ -59,11 +60,11 @@ def by_falls(table: Table, names: Sequence[str], values: Sequence[float]) -> np.
 
     for i in np.flatnonzero(bends):
         own = columns[:, i]
-        entered(own, size if falls.any() else size / max(_rms(own), 1e-300), bends)
+        entered(own, size if falls.any() else size / max(rms(own), 1e-300), bends)
     if not bends.any():
         shifts.append(np.zeros((len(names), len(names))))
         evidence.append(0.0)
-    for way in ways[table.good].T:
+    for way in ways.T:
         entered(way, size, falls)
     odds = np.exp(np.array(evidence) - max(evidence))
     return np.tensordot(odds, shifts, 1) / odds.sum()
@@ -71,7 +72,3 @@ def by_falls(table: Table, names: Sequence[str], values: Sequence[float]) -> np.
 
 def _which(flags) -> np.ndarray:
     return np.array([bool(flag) for flag in flags], dtype=bool)
-
-
-def _rms(values: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(values**2)))

@@ -321,11 +321,15 @@ def force_candidates(scale: Scale, rig: Rig) -> tuple[Candidate, ...]:
     return tuple(found)
 
 
-def falls_of(course: Course, rig: Rig) -> tuple[np.ndarray, np.ndarray]:
+def falls_of(course: Course, rig: Rig, balance: str) -> tuple[np.ndarray, np.ndarray]:
     """Return friction of 1 N at rest that falls over each of ``FALLS``, in the band, (m, 12) N.
 
     By exp(-|v|/v_s) and by exp(-(v/v_s)^2).  And one that turns round over the first, (m, 1) N.
+    None of either where the balance is not the force's.
     """
+    if balance != "force":
+        none = np.empty((len(course.compared(course.v)), 0))
+        return none, none
     falls = np.array(FALLS) if rig.motion == "linear" else course.speed * np.array(SHARES)
     shares = course.v[:, None] / np.maximum(falls, 1e-300)
     falling = course.direction[:, None] * np.exp(-np.hstack([np.abs(shares), shares**2]))

@@ -15,6 +15,11 @@ ROUNDS = 50  # of exchanges between free and held; a handful is usual
 UPDATES, SETTLED = 200, 0.02  # of a spread; by so much of a deviation of the mean
 
 
+def rms(values: Sequence[float]) -> float:
+    """Return the root of the mean square."""
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
 def signed_solution(gram: np.ndarray, side: np.ndarray, signs: np.ndarray,
                     least: np.ndarray | None = None) -> np.ndarray:
     """Return the weights w with the least 1/2 w'Gw - g'w within their signs, (k,).

@@ -18,6 +18,7 @@ from eha_monitor.balances.candidates import (
 )
 from eha_monitor.balances.course import Course
 from eha_monitor.balances.discrepancy import Regime, learned, regimes, signals_of
+from eha_monitor.balances.least_squares import rms
 from eha_monitor.balances.parameters import UNKNOWN, Stiffness, stiffness_of
 from eha_monitor.balances.policy import POLICY, Policy
 from eha_monitor.balances.scatter import Scatter, scatter_of
@@ -210,11 +211,6 @@ class Machine:
             "displacement": self.displacement, "scale": self.scale,
             "through_one": self.through_one, "viscosity": self.viscosity,
             "policy": self.policy, "balances": self.balances})
-
-
-def rms(values: Sequence[float]) -> float:
-    """Return the root of the mean square."""
-    return float(np.sqrt(np.mean(np.square(values))))
 
 
 def healthy_machine_of(courses: Sequence[Course], settings: Settings, policy: Policy = POLICY

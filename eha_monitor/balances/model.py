@@ -22,8 +22,8 @@ from eha_monitor.balances.alone import (
 from eha_monitor.balances.bends import by_falls
 from eha_monitor.balances.candidates import Candidate, Scale, candidates_of
 from eha_monitor.balances.course import Course
-from eha_monitor.balances.least_squares import from_absent
-from eha_monitor.balances.machine import MachineBalance, rms
+from eha_monitor.balances.least_squares import from_absent, rms
+from eha_monitor.balances.machine import MachineBalance
 from eha_monitor.balances.policy import Policy
 from eha_monitor.balances.table import Table, nominal_of, pooled_table, tables_of
 from eha_monitor.balances.together import Named, Recordings, setting_of

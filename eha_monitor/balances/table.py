@@ -199,7 +199,8 @@ def tables_of(courses: Sequence[Course], rig: Rig, balance: str,
         block = (np.arange(len(rows)) * course.step / length).astype(int)
         found.append(Table(course.source, tuple(candidates[i] for i in kept), rows, good,
                            int(course.compared(course.moving).sum()), block, course.step, size,
-                           course.floor(balance, rig), known, doubts, *falls_of(course, rig)))
+                           course.floor(balance, rig), known, doubts,
+                           *falls_of(course, rig, balance)))
     return found
 
 

@@ -152,13 +152,11 @@ def _diagnosed(recordings: list[Recording], settings: Settings, held_out: Record
     found = diagnosed(recordings, experiment, named, held_out, started, say, hypothesis)
     # Where a filter leaves something, its names make up for laws that it does not have.
     led_astray = found.verdict == "mismatch" and not (named and follows(named[1]))
-    if far and (led_astray or explains_more(
-            first, found, recordings if held_out is None else [held_out],
-            experiment.settings)):
+    judges = recordings if held_out is None else [held_out]
+    if far and (led_astray or explains_more(first, found, judges, experiment.settings)):
         return by_first(first, started), None
     apart = () if hypothesis is not None or first is None else contradicted(first, found)
-    if apart and not explains_more(found, first, recordings if held_out is None else [held_out],
-                                   experiment.settings):
+    if apart and not explains_more(found, first, judges, experiment.settings):
         return by_first(replace(first, gates=(*first.gates, *apart)), started), None
     # Innovations of another form than the config's laws are no mismatch of this machine, and no
     # balance is theirs.
@@ -215,7 +213,7 @@ def contradicted(first: Diagnosis, found: Diagnosis, policy: Policy = POLICY
     if not mine.keys() - {"B"}:  # what goes with speed may be damping of another form
         return ()
     gates = []
-    for symbol in mine.keys() & theirs.keys():
+    for symbol in sorted(mine.keys() & theirs.keys()):
         a, b = theirs[symbol], mine[symbol]
         if abs(a.value - b.value) > policy.varied * np.hypot(a.stddev, b.stddev):
             gates.append(Gate("least_squares", symbol, (
@@ -223,7 +221,7 @@ def contradicted(first: Diagnosis, found: Diagnosis, policy: Policy = POLICY
                 "least squares on the force balance "
                 f"{with_uncertainty(b.value, b.stddev, b.unit)}, and its laws leave no less of "
                 "the force on unseen data")))
-    return tuple(sorted(gates, key=lambda gate: gate.what))
+    return tuple(gates)
 
 
 def _of_the_force(answer: Diagnosis) -> dict[str, Value]:

@@ -72,10 +72,11 @@ def searched(under: Callable[[Settings], Experiment], held: Settings,
     if decision is None:
         return Searched(experiment, None, *_named(name, begun, followed))
     other = cache(lambda: under(other_hold(held)))
-    bare = cache(lambda: nominal_of(informative(other())))
+    there = cache(lambda: informative(other()))
+    bare = cache(lambda: nominal_of(there()))
     gained = 0.0
     if begun is not None and not decision.decided and begun[1].doubtful:
-        gained = gained_under(other(), bare(), begun[1].found)
+        gained = gained_under(there(), bare(), begun[1].found)
     if gained <= 0.0:
         named, followed = _named(name, begun, followed)
         late = named is not None and not decision.decided and late_as_held(named[1])
@@ -83,7 +84,7 @@ def searched(under: Callable[[Settings], Experiment], held: Settings,
         if followed and not late and not (
                 named and named[1].unexplained > experiment.policy.rival):
             return stands
-        gained = gained_under(other(), bare(), named[1].after if named else
+        gained = gained_under(there(), bare(), named[1].after if named else
                               nominal_of(informative(experiment)))
         if gained <= (-CLEARLY if late else 0.0):
             return stands
@@ -128,7 +129,7 @@ def nominal_of(windows: Experiment) -> Fit | None:
         return None
 
 
-def gained_under(other: Experiment, bare: Fit | None, found: Fit | None) -> float:
+def gained_under(windows: Experiment, bare: Fit | None, found: Fit | None) -> float:
     """Return by how much a set fits better under another hold than where it was found, log units.
 
     The likeliest of it, of it without one of its effects and of the nominal model there, after a
@@ -137,14 +138,13 @@ def gained_under(other: Experiment, bare: Fit | None, found: Fit | None) -> floa
 
     Parameters
     ----------
-    other : the same samples and outputs, under another hold of the drive's command.
+    windows : of the same samples and outputs, under another hold of the drive's command.
     bare : the nominal model there; None where none runs.
     found : None where no filter runs.
     """
     def each(fit: Fit) -> float:
         return fit.log_likelihood / np.isfinite(fit.e).sum()
 
-    windows = informative(other)
     if found is None:
         return 0.0 if bare is None else np.inf
     sets = [found, *(without_effect(windows, found, name) for name in effects_of(found))]

@@ -260,14 +260,11 @@ def strayed(view: Linearised, refits: Refits) -> bool:
         own.evidence - own.prior > evidence_at_start(refits, view.here) + STRAYED)
 
 
-def selected(experiment: Experiment, say=lambda text, share: None) -> Selection:
-    """Find the set of effects and wrong numbers of the rig that a recording supports."""
-    return finished(begun(experiment, say), say)
-
-
 def begun(experiment: Experiment, say=lambda text, share: None,
           first_view: FirstView | None = None, may_end: bool = False) -> Search:
-    """Return a search after its first pass, judged by the gates.
+    """Begin to find the set of effects and wrong numbers of the rig that a recording supports.
+
+    The search comes back after its first pass, judged by the gates.
 
     What is missing and large shows in a third of the samples as well as in all of them: the
     search is made there, and goes on with all of them from what it has found.
