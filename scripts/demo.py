@@ -1,6 +1,7 @@
 """``make demo``: live, replayed, recorded, diagnosed; each step checked for what it shows."""
 
 import json
+import math
 import os
 import signal
 import subprocess
@@ -17,8 +18,8 @@ from eha_monitor.health.alarms import NOT_JUDGED
 ROOT = Path(__file__).resolve().parents[1]
 NAMESPACE = "/eha"
 BOTH_ALARMS = frozenset({"viscous_damping_high", "bulk_modulus_low"})
-START_SECONDS = 60.0  # at most, until the monitor is there
-LIVE_SECONDS, REPLAY_SECONDS = 40.0, 40.0  # at most; it goes on when the alarms have come
+START_SECONDS = 180.0  # at most, until the first estimate: a busy machine starts ROS slowly
+LIVE_SECONDS, REPLAY_SECONDS = 40.0, 40.0  # at most after it; over when the alarms have come
 _COLOURS = {"WARN": "yellow", "ERROR": "red", "OK": "green", NOT_JUDGED: "cyan"}
 _GRACE = 5.0  # s that a child has to end by itself
 
@@ -91,15 +92,24 @@ def _last_line(path: Path) -> str:
 
 
 def watched(children: Children, seconds: float, alarms: frozenset[str]) -> None:
-    """Show what the monitor publishes until ``alarms`` are raised; else raise DemoFailed."""
+    """Show what the monitor publishes until ``alarms`` are raised; else raise DemoFailed.
+
+    The ``seconds`` that the alarms have begin with the first estimate, however long the
+    processes take to start.
+    """
+    ends = math.inf
+
     def say(line: str, level: str | None) -> None:
         click.secho(f"  {line}", fg=_COLOURS.get(level), bold=level is not None)
 
     def finished(seen: Seen) -> bool:
+        nonlocal ends
         children.check()
-        return alarms <= seen.raised
+        if seen.estimates and ends == math.inf:
+            ends = time.monotonic() + seconds
+        return alarms <= seen.raised or time.monotonic() > ends
 
-    seen = watch(NAMESPACE, seconds, say, finished)
+    seen = watch(NAMESPACE, START_SECONDS + seconds, say, finished)
     children.check()
     if seen.losses:
         click.secho(f"  {seen.losses}", fg="yellow")
