@@ -17,6 +17,7 @@ from eha_monitor.recordings.recording import Recording, rows_of
 from eha_monitor.settings.monitor import Settings
 from eha_monitor.settings.rig import Rig
 
+BEGINNING, HEAD = 20, 8  # samples in which a first value is sought; of a line through x
 BURN_IN = 0.15  # s at the start of each stretch in which the filter finds the state
 
 
@@ -55,6 +56,19 @@ class Stretch:
 
     def __len__(self) -> int:
         return len(self.z)
+
+    @cached_property
+    def first(self) -> np.ndarray:
+        """Means of the first three values of each signal, (N_OUTPUTS,) SI; NaN without any."""
+        heads = [column[np.isfinite(column)][:3] for column in self.z[:BEGINNING].T]
+        return np.array([np.mean(head) if len(head) else np.nan for head in heads])
+
+    @cached_property
+    def rise(self) -> float:
+        """Slope of a line through the first positions, m a sample; 0 where some are missing."""
+        head, at = self.z[:HEAD, 0], np.arange(HEAD) - 0.5 * (HEAD - 1)
+        return float(at @ head / (at @ at)) if len(head) == HEAD and np.isfinite(
+            head).all() else 0.0
 
     @cached_property
     def middle(self) -> np.ndarray:

@@ -181,18 +181,11 @@ def free_run(experiment: Experiment, stretch, fit: Fit) -> np.ndarray:
 
 def start_of(experiment: Experiment, stretch) -> np.ndarray:
     """Return the state with which a stretch begins."""
-    z = stretch.z
     charge = experiment.settings.rig.charge_pressure
-
-    def first(column, otherwise):
-        good = z[:20, column][np.isfinite(z[:20, column])]
-        return float(np.mean(good[:3])) if len(good) else otherwise
-
-    y = new_state(first(0, 0.0), first(2, charge), first(3, charge))
-    head = z[:8, 0]
-    if np.isfinite(head).all() and len(head) == 8:
-        y[1] = np.polyfit(np.arange(8) * experiment.dt, head, 1)[0]
-    y[4] = first(4, 0.0)
+    x, _, p1, p2, omega = np.where(np.isfinite(stretch.first), stretch.first,
+                                   (0.0, 0.0, charge, charge, 0.0))
+    y = new_state(x, p1, p2)
+    y[1], y[4] = stretch.rise / experiment.dt, omega
     return y
 
 
