@@ -27,6 +27,7 @@ from rig_tools import (
 from scipy.linalg import expm, solve_discrete_are
 
 from eha_monitor.mismatch.data.experiment import experiment_of
+from eha_monitor.mismatch.data.stretch import cut
 from eha_monitor.mismatch.likelihood.fit import (
     covariance_of,
     filtered,
@@ -186,6 +187,22 @@ def test_an_unknown_course_of_the_demand_is_no_error_of_a_sensor(run):
         gains = gains_of(built, built.theta, built.active, UNKNOWNS)
         ends.append(filtered(built, stretch, built.theta, built.active, gains, True)[1][-1])
     assert ends[1][:4] == pytest.approx(ends[0][:4], rel=1e-3, abs=1e-4)
+
+
+def test_a_sensor_has_drifted_since_the_recording_began_not_since_the_window():
+    """p_s = p + d t: of a window from 2 s on, the model with d leaves what was there without."""
+    recording = simulated(MULTISINE, 4.0).recording(1)
+    drift = 4e4 * np.arange(len(recording)) * DT
+    drifted = with_channels(recording, p1=recording.channels["p1"] + drift)
+    left = []
+    for one, known in ((recording, settings()),
+                       (drifted, settings(effects={"pressure_drift": {"d_1": 4e4, "d_2": 0.0}}))):
+        built = experiment_of([one], known)
+        window = cut(built.stretches[0], 2000, 4000, DT)
+        gains = gains_of(built, built.theta, built.active, UNKNOWNS)
+        left.append(filtered(built, window, built.theta, built.active, gains)[0][500:, [0, 2, 3]])
+    scale = left[0].std(axis=0)
+    np.testing.assert_allclose(left[1] / scale, left[0] / scale, atol=0.1)
 
 
 def test_a_run_that_went_astray_can_be_whitened():

@@ -7,7 +7,16 @@ import numpy as np
 from eha_monitor.compiled import njit
 from eha_monitor.physics.effect import no_circuit, no_term, no_update
 from eha_monitor.physics.effects import CATALOGUE, NAMES
-from eha_monitor.physics.own_term import OWN_NAMES, SLOTS, TURNED, WIDTH, own_term, turn, turns
+from eha_monitor.physics.own_term import (
+    OWN_NAMES,
+    SINCE,
+    SLOTS,
+    TURNED,
+    WIDTH,
+    own_term,
+    turn,
+    turns,
+)
 from eha_monitor.physics.signals import LIMITS, MAX_MEMORY, MAX_PARAMETERS, N_BASE, N_CIRCUIT
 
 ALL_NAMES = (*NAMES, *OWN_NAMES)  # in the order of their places
@@ -75,10 +84,10 @@ def new_memory() -> np.ndarray:
     return np.zeros((N_EFFECTS, MAX_MEMORY))
 
 
-def turned_memory(angle: float) -> np.ndarray:
-    """Return the memory at the start of what begins at an angle of the shaft, rad."""
+def turned_memory(angle: float, time: float = 0.0) -> np.ndarray:
+    """Return the memory of what begins at an angle of the shaft, rad, and at a time, s."""
     memory = new_memory()
-    memory[len(NAMES) :, TURNED] = angle
+    memory[len(NAMES) :, TURNED], memory[len(NAMES) :, SINCE] = angle, time
     return memory
 
 

@@ -136,7 +136,7 @@ def contributed(experiment: Experiment, theta: np.ndarray, track: np.ndarray,
     found = np.zeros((len(track), s.N_CONTRIBUTIONS))
     contributions_along(track, experiment.dt, experiment.steps, theta,
                         np.isin(ALL_NAMES, list(names)),
-                        turned_memory(float(track[0, s.ANGLE])), found)
+                        turned_memory(float(track[0, s.ANGLE]), float(track[0, s.T])), found)
     return found
 
 
@@ -144,7 +144,7 @@ def signals_along(experiment: Experiment, stretch: Stretch, states: np.ndarray) 
     """Return the signals of the equations on a smoothed trajectory, (n, N_SIGNALS)."""
     n = len(states)
     found = np.zeros((n, s.N_SIGNALS))
-    found[:, s.T] = np.arange(n) * experiment.dt
+    found[:, s.T] = stretch.start + np.arange(n) * experiment.dt
     found[:, s.X], found[:, s.V] = states[:, plant.Y_X], states[:, plant.Y_V]
     if experiment.mode == FORCED:
         found[:, s.P1], found[:, s.P2] = stretch.p1, stretch.p2

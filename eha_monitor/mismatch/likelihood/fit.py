@@ -164,7 +164,8 @@ def filtered(experiment: Experiment, stretch, theta, active, gains, states: bool
     if free is not None:
         role[free] = FREE
     kept = np.empty((n if states else 0, N_FILTERED))
-    innovate(Record(experiment.mode, stretch.z, stretch.u, (stretch.p1, stretch.p2), role),
+    innovate(Record(experiment.mode, float(stretch.start), stretch.z, stretch.u,
+                    (stretch.p1, stretch.p2), role),
              Step(experiment.dt, experiment.steps), theta, active,
              Correction(gains, decay_of(experiment)),
              actuator_of(start_of(experiment, stretch if begin is None else begin),

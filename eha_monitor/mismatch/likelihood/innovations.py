@@ -50,6 +50,7 @@ class Record(NamedTuple):
     """A stretch of a record, as a filter takes it.
 
     mode : what ``u`` is.
+    start : when it begins in its recording, s: a sensor has drifted since the recording began.
     z : (n, N_OUTPUTS) measured x, v, p1, p2, omega; NaN where missing.
     u : (n, 4) input as a cubic on each sample: x_d, pump speed or force after ``mode``.
     pressures : (n,) p1 and (n,) p2 for ``FORCED``, Pa.
@@ -59,6 +60,7 @@ class Record(NamedTuple):
     """
 
     mode: int
+    start: float
     z: np.ndarray
     u: np.ndarray
     pressures: tuple[np.ndarray, np.ndarray]
@@ -89,7 +91,7 @@ def innovate(record, step, theta, active, correction, actuator, e, states):
     e : (n, N_OUTPUTS) written: innovations, NaN where nothing was measured.
     states : (n, N_FILTERED) written after the correction, or (0, N_FILTERED) where not wanted.
     """
-    mode, z, u, pressures, role = record
+    mode, start, z, u, pressures, role = record
     gains, decay = correction
     y, memory, past, newest = actuator
     dt, given = step.dt, plant.Given(u, 1, 0, mode == CLOSED)
@@ -112,7 +114,7 @@ def innovate(record, step, theta, active, correction, actuator, e, states):
                 shown[0] = plant.behind_play(shown[0], y[plant.Y_PLAYED], w[PLAY])
             shown[2] = shown[3] = shown[4] = math.nan
         else:
-            plant.sense(actuator, t, step, w, shown)
+            plant.sense(actuator, start + t, step, w, shown)
             shown[4] = plant.speed_now(actuator, k, given, step, equations)[1]
         at = min(k, gains.shape[0] - 1)
         predicted, before_1, before_2 = y[plant.Y_X], y[plant.Y_P1], y[plant.Y_P2]
