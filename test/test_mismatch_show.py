@@ -6,16 +6,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from mismatch_tools import fitted, nominal_fit
-from rig_tools import real
+from rig_tools import MULTISINE, B, real, settings, simulated, with_channels
 
 from eha_monitor.mismatch.data.experiment import experiment_of
+from eha_monitor.mismatch.data.stretch import cut
+from eha_monitor.mismatch.diagnose import diagnose
 from eha_monitor.mismatch.diagnosis import Agreement, Value
 from eha_monitor.mismatch.name.polish import Slopes, polished
+from eha_monitor.mismatch.name.refit import unfitted
 from eha_monitor.mismatch.show.held_out import (
     agreement,
     force_residual,
     free_runs,
     overlays,
+    righted,
     shown,
     windows_of,
 )
@@ -128,6 +132,29 @@ def forced(friction: float, seconds: float = 12.0):
                     "viscous_damping": b, "sample_time": 1e-3}}
     settings = settings_from_tree({"/**": {"ros__parameters": tree}}, "forced")
     return experiment_of([Recording(1e-3, {"x": x, "force": force[::fine]})], settings)
+
+
+def test_a_sensor_that_drifts_through_a_long_recording_is_named():
+    """Windows of it are fitted, and in each of them it has drifted since the beginning."""
+    recording = simulated(MULTISINE, 32.0).recording(1)
+    drift = -400.0 * recording.sample_time * np.arange(len(recording))
+    found = diagnose([with_channels(recording, p2=recording.channels["p2"] + drift)], settings())
+    assert (found.verdict, [effect.name for effect in found.effects]) == (
+        "mismatch", ["pressure_drift"])
+    assert found.effects[0].parameters["d_2"].value == pytest.approx(-400.0, rel=0.01)
+    assert found.after["B"].value == pytest.approx(B, rel=0.02)
+
+
+def test_what_a_sensor_has_drifted_is_taken_off_in_every_window():
+    recording = simulated(MULTISINE, 4.0).recording(1)
+    drift = 5e3 * recording.sample_time * np.arange(len(recording))
+    drifted = with_channels(recording, p1=recording.channels["p1"] + drift)
+    right, wrong = (experiment_of([one], settings(
+        effects={"pressure_drift": {"d_1": rate, "d_2": 0.0}}))
+        for one, rate in ((recording, 0.0), (drifted, 5e3)))
+    window = cut(wrong.stretches[0], 2000, 4000, recording.sample_time)
+    np.testing.assert_allclose(righted(wrong, unfitted(wrong), window).p1,
+                               right.stretches[0].p1[2000:], atol=20.0)
 
 
 def test_force_residual_of_a_mass_on_a_damper():

@@ -293,7 +293,7 @@ def force_left(experiment: Experiment, fit: Fit, modelled: Callable) -> tuple[fl
 def righted(experiment: Experiment, fit: Fit, stretch: Stretch) -> Stretch:
     """Return a stretch less what its sensors err by: scales, offsets, drifts, delays, play."""
     w, dt = circuit_of(fit.theta, fit.active), experiment.dt
-    t = np.arange(len(stretch)) * dt
+    t = stretch.start + np.arange(len(stretch)) * dt  # a drift counts from the recording's start
     z = stretch.z.copy()
     z[:, 0] = np.interp(t + w[s.POSITION_DELAY], t, filled(z[:, 0])) / (1.0 + w[s.POSITION_SCALE])
     if w[s.PLAY] > 0.0:  # where the sensor rests behind it, the filter says where the piston is
