@@ -173,6 +173,19 @@ def test_text_of_others_is_escaped():
     assert "<script>alert" not in html and "<i>" not in html and "<u>" not in html
 
 
+def test_a_sensor_that_drifts_is_shown_against_time():
+    found, t = coulomb(), np.linspace(0.0, 40.0, 400)
+    drifting = replace(found.effects[0], name="pressure_drift", balance="sensor")
+    x = np.linspace(-100.0, 100.0, 20)
+    by_speed = Curve("sensor", "pump speed", "rad/s", "Pa", x, 400.0 * np.sign(np.sin(x)),
+                     np.full(20, 300.0), np.full(20, np.nan))
+    over_time = Curve("sensor", "time", "s", "Pa", t, 30.0 * t, np.full(400, np.nan), 30.0 * t)
+    only = replace(found, effects=(drifting,), curves=(by_speed, over_time))
+    assert informative(only)[0].against == "time"
+    level = replace(over_time, measured=np.random.default_rng(0).normal(400.0, 300.0, 400))
+    assert informative(replace(only, curves=(level, by_speed)))[0].against == "pump speed"
+
+
 def test_the_most_informative_curve_leads():
     found = coulomb()
     assert [curve.against for curve in informative(found)][:2] == [

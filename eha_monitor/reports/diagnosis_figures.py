@@ -65,7 +65,8 @@ def informative(found: Diagnosis) -> list[MissingTerm]:
     A curve says much where its quantity decides the missing term: what it varies by is then
     large against the spread at each place.  The balance with the largest share goes first, of
     those that something was named in, then the best curve of each other one; time goes last, for
-    it decides nothing by itself, unless what is named comes and goes, or nothing is named.
+    it decides nothing by itself, unless what is named comes and goes, or nothing is named.  A
+    sensor's error may be a drift.
     """
     share = found.location.balance
     named = {effect.balance for effect in found.effects} or set(share)
@@ -75,7 +76,8 @@ def informative(found: Diagnosis) -> list[MissingTerm]:
                 if np.isfinite(curve.measured * curve.x).sum() >= 2]
 
     def rank(curve: MissingTerm) -> tuple[bool, float]:
-        if curve.against == "time" and found.verdict == "unexplained" and not found.effects:
+        unnamed = found.verdict == "unexplained" and not found.effects
+        if curve.against == "time" and (unnamed or curve.balance == "sensor"):
             return False, -_contrast(_in_steps(curve))
         stand_in = _STAND_IN if (curve.balance, curve.against) in _INDIRECT else 1.0
         return (curve.against == "time") != timed, -_contrast(curve) * stand_in
