@@ -52,6 +52,7 @@ from eha_monitor.mismatch.name.refit import unfitted
 from eha_monitor.mismatch.name.select import lack_of
 from eha_monitor.mismatch.name.starts import expected_likelihood, limits_of, possible
 from eha_monitor.mismatch.show.model import robust
+from eha_monitor.physics.contributions import circuit_of
 from eha_monitor.physics.plant import N_OUTPUTS, Y_OMEGA
 
 MAKEUP, CHARGE, DT = 1e-13, 2e6, 1e-3
@@ -141,7 +142,8 @@ def test_innovations_are_those_of_an_independent_kalman_filter(run):
     kalman.F, kalman.H = step[:7, :7], h[used]
     kalman.Q, kalman.R = np.diag(m.q[KEPT]), np.diag(experiment.noise[used] ** 2)
     kalman.P = np.diag(m.start[KEPT])
-    kalman.x = start_of(experiment, stretch)[KEPT][:, None]
+    kalman.x = start_of(experiment, stretch, circuit_of(
+        experiment.theta, experiment.active))[KEPT][:, None]
     x_d = stretch.u[:, 0]
     expected, found = np.zeros((1500, len(used))), np.zeros((1500, 7))
     for k in range(1500):
@@ -205,7 +207,7 @@ def test_a_sensor_has_drifted_since_the_recording_began_not_since_the_window():
         gains = gains_of(built, built.theta, built.active, UNKNOWNS)
         left.append(filtered(built, window, built.theta, built.active, gains)[0][500:, [0, 2, 3]])
     scale = left[0].std(axis=0)
-    np.testing.assert_allclose(left[1] / scale, left[0] / scale, atol=0.1)
+    np.testing.assert_allclose(left[1] / scale, left[0] / scale, atol=1e-3)
 
 
 @pytest.mark.parametrize("case", sorted(CASES.keys() - {"none", "stribeck_friction"}))

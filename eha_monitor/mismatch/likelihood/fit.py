@@ -27,7 +27,8 @@ from eha_monitor.mismatch.likelihood.innovations import (
     Record,
     innovate,
 )
-from eha_monitor.physics.contributions import turned_memory
+from eha_monitor.physics import signals as s
+from eha_monitor.physics.contributions import circuit_of, turned_memory
 from eha_monitor.physics.plant import N_OUTPUTS, Step, actuator_of, new_state
 
 SINGULAR = 1e-12  # of a correlation: what rounding may make of it
@@ -168,7 +169,8 @@ def filtered(experiment: Experiment, stretch, theta, active, gains, states: bool
                     (stretch.p1, stretch.p2), role),
              Step(experiment.dt, experiment.steps), theta, active,
              Correction(gains, decay_of(experiment)),
-             actuator_of(start_of(experiment, stretch if begin is None else begin),
+             actuator_of(start_of(experiment, stretch if begin is None else begin,
+                                  circuit_of(theta, active)),
                          turned_memory(stretch.begins_at)), e, kept)
     return e, kept
 
@@ -180,13 +182,25 @@ def free_run(experiment: Experiment, stretch, fit: Fit) -> np.ndarray:
                      free=np.ones(len(stretch), dtype=np.bool_), begin=stretch)[0]
 
 
-def start_of(experiment: Experiment, stretch) -> np.ndarray:
-    """Return the state with which a stretch begins."""
+def start_of(experiment: Experiment, stretch, w: np.ndarray) -> np.ndarray:
+    """Return the state with which a stretch begins: what is measured, less the sensors' errors.
+
+    A filter is given twice the noise of the pressures to begin with.  What a sensor errs by is
+    far more, and their mean, which nothing but leakage and make-up changes, keeps it for long.
+
+    Parameters
+    ----------
+    w : (N_CIRCUIT,) circuit of the model: scales, offsets and drifts of the sensors.
+    """
     charge = experiment.settings.rig.charge_pressure
-    x, _, p1, p2, omega = np.where(np.isfinite(stretch.first), stretch.first,
+    scale = 1.0 + np.array([w[s.POSITION_SCALE], 0.0, w[s.PRESSURE_SCALE_1],
+                            w[s.PRESSURE_SCALE_2], 0.0])
+    error = np.array([0.0, 0.0, w[s.PRESSURE_OFFSET_1] + w[s.PRESSURE_DRIFT_1] * stretch.start,
+                      w[s.PRESSURE_OFFSET_2] + w[s.PRESSURE_DRIFT_2] * stretch.start, 0.0])
+    x, _, p1, p2, omega = np.where(np.isfinite(stretch.first), (stretch.first - error) / scale,
                                    (0.0, 0.0, charge, charge, 0.0))
     y = new_state(x, p1, p2)
-    y[1], y[4] = stretch.rise / experiment.dt, omega
+    y[1], y[4] = stretch.rise / experiment.dt / scale[0], omega
     return y
 
 
