@@ -289,8 +289,8 @@ def rig_within(experiment: Experiment, naming: Naming) -> tuple[RigFinding, ...]
         moved, sigma = np.log(value.value / configured), value.stddev / value.value
         if sigma < policy.informed * spread and abs(moved) > max(
                 policy.sure * sigma, policy.informed * spread):
-            found.append(RigFinding(key, configured, value, np.nan,
-                                    f"{words}, within its tolerance"))
+            reach = "its tolerance" if abs(moved) <= spread else "three of its tolerances"
+            found.append(RigFinding(key, configured, value, np.nan, f"{words}, within {reach}"))
     return tuple(found)
 
 
