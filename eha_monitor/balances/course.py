@@ -16,7 +16,12 @@ from scipy.signal import butter, lfilter, sosfiltfilt
 from eha_monitor.errors import InputError
 from eha_monitor.estimation.modelled import contributions_along
 from eha_monitor.estimation.rig_model import added_by, force_missing, force_of
-from eha_monitor.estimation.sensors import noise_levels, quantum, without_spikes
+from eha_monitor.estimation.sensors import (
+    noise_levels,
+    quantum,
+    true_pressure,
+    without_spikes,
+)
 from eha_monitor.indicators.laws import viscosity_factor
 from eha_monitor.physics import signals as s
 from eha_monitor.physics.contributions import circuit_of, new_memory
@@ -418,12 +423,8 @@ def _righted(whole: dict[str, np.ndarray], w: np.ndarray, dt: float) -> dict[str
     t = np.arange(len(whole["x"])) * dt
     found = dict(whole)
     found["x"] = np.interp(t + w[s.POSITION_DELAY], t, whole["x"]) / (1.0 + w[s.POSITION_SCALE])
-    for name, offset, drift, scale in (
-            ("p1", s.PRESSURE_OFFSET_1, s.PRESSURE_DRIFT_1, s.PRESSURE_SCALE_1),
-            ("p2", s.PRESSURE_OFFSET_2, s.PRESSURE_DRIFT_2, s.PRESSURE_SCALE_2)):
-        if name in whole:
-            found[name] = (np.interp(t + w[s.PRESSURE_DELAY], t, whole[name]) - w[offset]
-                           - w[drift] * t) / (1.0 + w[scale])
+    for name in whole.keys() & {"p1", "p2"}:
+        found[name] = true_pressure(np.interp(t + w[s.PRESSURE_DELAY], t, whole[name]), name, w, t)
     return found
 
 

@@ -126,6 +126,22 @@ def without_spikes(channels: dict[str, np.ndarray], noise: dict[str, NoiseEstima
     return cleaned, counts
 
 
+PRESSURE_ERRORS = {"p1": (s.PRESSURE_SCALE_1, s.PRESSURE_OFFSET_1, s.PRESSURE_DRIFT_1),
+                   "p2": (s.PRESSURE_SCALE_2, s.PRESSURE_OFFSET_2, s.PRESSURE_DRIFT_2)}
+
+
+def true_pressure(shown, name: str, w: np.ndarray, time):
+    """Return what a pressure is where its sensor shows ``shown``, Pa: no scale, offset, drift.
+
+    Parameters
+    ----------
+    shown, time : Pa, and s since the recording began; numbers or (n,).
+    name : ``p1`` or ``p2``; w : circuit of the model.
+    """
+    scale, offset, drift = PRESSURE_ERRORS[name]
+    return (shown - w[offset] - w[drift] * time) / (1.0 + w[scale])
+
+
 def undo_sensors(channels: dict[str, np.ndarray], noise: dict[str, NoiseEstimate], w: np.ndarray,
                  time: np.ndarray) -> tuple[dict[str, np.ndarray], dict[str, NoiseEstimate]]:
     """Return the channels and their noise as right sensors would have shown them.
@@ -142,14 +158,12 @@ def undo_sensors(channels: dict[str, np.ndarray], noise: dict[str, NoiseEstimate
     """
     channels, noise = dict(channels), dict(noise)
     dt = time[1] - time[0] if len(time) > 1 else 1.0
-    for name, scale, offset, drift in (
-            ("p1", s.PRESSURE_SCALE_1, s.PRESSURE_OFFSET_1, s.PRESSURE_DRIFT_1),
-            ("p2", s.PRESSURE_SCALE_2, s.PRESSURE_OFFSET_2, s.PRESSURE_DRIFT_2)):
-        if name not in channels or not w[[scale, offset, drift, s.PRESSURE_DELAY]].any():
+    for name, errors in PRESSURE_ERRORS.items():
+        if name not in channels or not w[[*errors, s.PRESSURE_DELAY]].any():
             continue
         values = earlier(channels[name], w[s.PRESSURE_DELAY] / dt)
-        channels[name] = (values - w[offset] - w[drift] * time) / (1.0 + w[scale])
-        noise[name] = scaled(noise[name], 1.0 + w[scale])
+        channels[name] = true_pressure(values, name, w, time)
+        noise[name] = scaled(noise[name], 1.0 + w[errors[0]])
     if "x" in channels:
         if w[s.POSITION_SCALE]:
             channels["x"] = channels["x"] / (1.0 + w[s.POSITION_SCALE])

@@ -18,6 +18,7 @@ from functools import lru_cache, partial
 
 import numpy as np
 
+from eha_monitor.estimation.sensors import true_pressure
 from eha_monitor.mismatch.data.experiment import Experiment
 from eha_monitor.mismatch.likelihood.gains import Unknowns, decay_of, gains_of
 from eha_monitor.mismatch.likelihood.innovations import (
@@ -192,15 +193,13 @@ def start_of(experiment: Experiment, stretch, w: np.ndarray) -> np.ndarray:
     ----------
     w : (N_CIRCUIT,) circuit of the model: scales, offsets and drifts of the sensors.
     """
-    charge = experiment.settings.rig.charge_pressure
-    scale = 1.0 + np.array([w[s.POSITION_SCALE], 0.0, w[s.PRESSURE_SCALE_1],
-                            w[s.PRESSURE_SCALE_2], 0.0])
-    error = np.array([0.0, 0.0, w[s.PRESSURE_OFFSET_1] + w[s.PRESSURE_DRIFT_1] * stretch.start,
-                      w[s.PRESSURE_OFFSET_2] + w[s.PRESSURE_DRIFT_2] * stretch.start, 0.0])
-    x, _, p1, p2, omega = np.where(np.isfinite(stretch.first), (stretch.first - error) / scale,
-                                   (0.0, 0.0, charge, charge, 0.0))
+    charge, scale = experiment.settings.rig.charge_pressure, 1.0 + w[s.POSITION_SCALE]
+    x, _, p1, p2, omega = stretch.first
+    meant = np.array([x / scale, true_pressure(p1, "p1", w, stretch.start),
+                      true_pressure(p2, "p2", w, stretch.start), omega])
+    x, p1, p2, omega = np.where(np.isfinite(meant), meant, (0.0, charge, charge, 0.0))
     y = new_state(x, p1, p2)
-    y[1], y[4] = stretch.rise / experiment.dt / scale[0], omega
+    y[1], y[4] = stretch.rise / experiment.dt / scale, omega
     return y
 
 

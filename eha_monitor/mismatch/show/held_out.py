@@ -8,6 +8,7 @@ import numpy as np
 from eha_monitor.balances.baseline import Baseline
 from eha_monitor.balances.course import STANDING
 from eha_monitor.estimation.consistency import variance_ratios
+from eha_monitor.estimation.sensors import true_pressure
 from eha_monitor.mismatch.data.experiment import Experiment
 from eha_monitor.mismatch.data.inputs import FORCED
 from eha_monitor.mismatch.data.stretch import Stretch
@@ -299,11 +300,9 @@ def righted(experiment: Experiment, fit: Fit, stretch: Stretch) -> Stretch:
     if w[s.PLAY] > 0.0:  # where the sensor rests behind it, the filter says where the piston is
         x = filtered(experiment, stretch, fit.theta, fit.active, fit.gains, states=True)[1][:, Y_X]
         z[:, 0] += x - played(x, w[s.PLAY])
-    pressures = [(np.interp(t + w[s.PRESSURE_DELAY], t, p) - w[offset] - w[drift] * t)
-                 / (1.0 + w[scale]) for p, offset, drift, scale in (
-        (stretch.p1, s.PRESSURE_OFFSET_1, s.PRESSURE_DRIFT_1, s.PRESSURE_SCALE_1),
-        (stretch.p2, s.PRESSURE_OFFSET_2, s.PRESSURE_DRIFT_2, s.PRESSURE_SCALE_2))]
-    return replace(stretch, z=z, p1=pressures[0], p2=pressures[1])
+    late = t + w[s.PRESSURE_DELAY]
+    return replace(stretch, z=z, p1=true_pressure(np.interp(late, t, stretch.p1), "p1", w, t),
+                   p2=true_pressure(np.interp(late, t, stretch.p2), "p2", w, t))
 
 
 def driving_force(experiment: Experiment, fit: Fit, stretch) -> np.ndarray:
