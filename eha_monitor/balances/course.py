@@ -27,7 +27,7 @@ from eha_monitor.physics import signals as s
 from eha_monitor.physics.contributions import circuit_of, new_memory
 from eha_monitor.physics.parameters import theta_of
 from eha_monitor.recordings.grid import filled
-from eha_monitor.recordings.recording import Recording, between_stops, sample_of
+from eha_monitor.recordings.recording import Recording, between_stops, sample_of, sampled_rows
 from eha_monitor.settings.monitor import Settings
 from eha_monitor.settings.rig import Rig
 
@@ -57,6 +57,7 @@ class Course:
     source : file it came from.
     band : pass band of its balances, Hz.
     dt : spacing of the grid, s.
+    steps : of the effects' memory in it, eight a sample: a line is faster than the grid.
     x, v, a : position, velocity, acceleration.
     force : A1 p1 - A2 p2, or the measured force.
     p1, p2, rate_1, rate_2 : pressures and their rates; None where not recorded.
@@ -85,6 +86,7 @@ class Course:
     source: str
     band: float
     dt: float
+    steps: int
     x: np.ndarray
     v: np.ndarray
     a: np.ndarray
@@ -242,7 +244,7 @@ def course_of(recording: Recording, settings: Settings, band: float = BAND) -> C
     InputError
         If position or force are missing, or less than ``SHORTEST`` s are usable.
     """
-    rig, recording = settings.rig, sample_of(recording)
+    rig, rows, recording = settings.rig, sampled_rows(len(recording)), sample_of(recording)
     why = force_missing(rig, [name for name in recording.channels if recording.has(name)])
     if why:
         raise InputError(f"{recording.source}: {why}")
@@ -261,7 +263,8 @@ def course_of(recording: Recording, settings: Settings, band: float = BAND) -> C
                     round(BRIDGED / (MOTION * band * dt)))
     theta, active = theta_of(rig, settings.effects)
     circuit = circuit_of(theta, active)
-    whole = _righted({name: filled(values) for name, values in cleaned.items()}, circuit, dt)
+    measured = {name: filled(values) for name, values in cleaned.items()}
+    whole = _righted(measured, circuit, dt, rows * dt)
     force = force_of(rig, whole)
     away = np.zeros(len(recording), dtype=bool)
     for first, last in between_stops(whole["x"], force, dt):
@@ -293,11 +296,12 @@ def course_of(recording: Recording, settings: Settings, band: float = BAND) -> C
     moving = np.convolve(slow, np.ones(2 * near + 1), mode="same") < 0.5
     moving &= np.ptp(x[good]) > TRAVEL * noise["x"].value
     demand = whole.get("omega_d", whole.get("omega"))
-    wanted = _wanted(whole, rig, circuit, dt)
+    told = _told(measured, whole, rig, circuit, dt)
+    wanted = None if told is None else _followed(told, circuit, dt)
     pressures = [p[good] for p in (p1, p2) if p is not None]
     found = Course(
-        recording.source, band, step, x, v, a, fine(force), p1, p2, rate_1, rate_2, omega,
-        None if wanted is None else fine(wanted), None if demand is None else fine(demand),
+        recording.source, band, step, 8 * every, x, v, a, fine(force), p1, p2, rate_1, rate_2,
+        omega, None if wanted is None else fine(wanted), None if demand is None else fine(demand),
         COMMANDED if "omega_d" in whole else MEASURED, {}, _sensors(noise, cleaned),
         0.5 * dt, passed(dt, band), bool(pressures) and min(
             float(np.quantile(p, 0.01)) for p in pressures) < GAUGE * rig.ambient_pressure,
@@ -365,7 +369,8 @@ def known_of(course: Course, rig: Rig, theta: np.ndarray, active: np.ndarray
     # As in the stages: a term of the shaft's angle, which no recording has, is left out.
     active = np.array([on and bool(added_by(which, theta)) for which, on in enumerate(active)])
     if active.any():
-        contributions_along(course.track(), course.dt, 2, theta, active, new_memory(), c)
+        contributions_along(course.track(), course.dt, course.steps, theta, active,
+                            new_memory(), c)
     known = {"force": c[:, s.FORCE] + (rig.mass + c[:, s.MASS]) * course.a, "drive": zero}
     if not course.has_flow:
         return known
@@ -418,29 +423,39 @@ def _sensors(noise: dict, channels: dict[str, np.ndarray]) -> dict[str, float]:
             "omega": level.get("omega", 0.0), "force": level.get("force", 0.0)}
 
 
-def _righted(whole: dict[str, np.ndarray], w: np.ndarray, dt: float) -> dict[str, np.ndarray]:
-    """Return channels less what the config says their sensors err by."""
-    t = np.arange(len(whole["x"])) * dt
-    found = dict(whole)
-    found["x"] = np.interp(t + w[s.POSITION_DELAY], t, whole["x"]) / (1.0 + w[s.POSITION_SCALE])
-    for name in whole.keys() & {"p1", "p2"}:
-        found[name] = true_pressure(np.interp(t + w[s.PRESSURE_DELAY], t, whole[name]), name, w, t)
+def _righted(measured: dict[str, np.ndarray], w: np.ndarray, dt: float, time: np.ndarray
+             ) -> dict[str, np.ndarray]:
+    """Return channels less what the config says their sensors err by.
+
+    ``time`` is s since the recording began, (n,): of a long one only samples are here.
+    """
+    found = dict(measured)
+    found["x"] = _ahead(measured["x"], w[s.POSITION_DELAY], dt) / (1.0 + w[s.POSITION_SCALE])
+    for name in measured.keys() & {"p1", "p2"}:
+        found[name] = true_pressure(_ahead(measured[name], w[s.PRESSURE_DELAY], dt), name, w, time)
     return found
 
 
-def _wanted(whole: dict[str, np.ndarray], rig: Rig, w: np.ndarray, dt: float
-            ) -> np.ndarray | None:
-    """Return the speed that the config's drive makes of its command, (n,) rad/s; None without."""
-    if "omega" not in whole:
+def _ahead(values: np.ndarray, lead: float, dt: float) -> np.ndarray:
+    """Return samples (n,) from ``lead`` s later."""
+    t = np.arange(len(values)) * dt
+    return np.interp(t + lead, t, values)
+
+
+def _told(measured: dict[str, np.ndarray], righted: dict[str, np.ndarray], rig: Rig,
+          w: np.ndarray, dt: float) -> np.ndarray | None:
+    """Return the speed that the drive is told, (n,) rad/s; None where nothing says."""
+    if "omega" not in righted or "omega_d" in righted:
+        return righted.get("omega_d") if "omega" in righted else None
+    if "x_d" not in righted or rig.position_gain is None:
         return None
-    if "omega_d" in whole:
-        told = whole["omega_d"]
-    elif "x_d" in whole and rig.position_gain is not None:
-        told = rig.position_gain * (whole["x_d"] - whole["x"])
-    else:
-        return None
-    t = np.arange(len(told)) * dt
-    made = (1.0 + w[s.DRIVE_GAIN]) * np.interp(t - w[s.COMMAND_DELAY], t, told)
+    read, lead = (measured["x"], w[s.POSITION_DELAY]) if w[s.IN_LOOP] else (righted["x"], 0.0)
+    return rig.position_gain * (righted["x_d"] - _ahead(read, lead - w[s.FEEDBACK_DELAY], dt))
+
+
+def _followed(told: np.ndarray, w: np.ndarray, dt: float) -> np.ndarray:
+    """Return the speed that the config's drive makes of what it is told, (n,) rad/s."""
+    made = (1.0 + w[s.DRIVE_GAIN]) * _ahead(told, -w[s.COMMAND_DELAY], dt)
     made = np.clip(made, -w[s.SPEED_LIMIT], w[s.SPEED_LIMIT])
     if w[s.DRIVE_LAG] > 0.0:
         pole = np.exp(-dt / w[s.DRIVE_LAG])

@@ -282,4 +282,6 @@ def contributions_along(trajectory, dt, steps, theta, active, memory, out):
                 f = i / steps
                 for j in range(now.shape[0]):
                     now[j] = (1.0 - f) * trajectory[k, j] + f * trajectory[k + 1, j]
+                f -= 0.5 / steps
+                now[s.OMEGA] = (1.0 - f) * trajectory[k, s.OMEGA] + f * trajectory[k + 1, s.OMEGA]
                 update_memory(now, theta, updates, dt / steps, memory)

@@ -151,7 +151,11 @@ def add_contributions(s, theta, terms, memory, c):
 
 @njit(forceinline=True, allocates=False)
 def update_memory(s, theta, updates, h, memory):
-    """Carry the memory of effects (:func:`with_update`) over a step of ``h`` s ending at ``s``."""
+    """Carry the memory of effects (:func:`with_update`) over a step of ``h`` s ending at ``s``.
+
+    The shaft's speed among the signals is its mean over the step: where the command is held, it
+    jumps at the step's ends, and half of either would be as late as half a step.
+    """
     for which in updates:
         _update(which, s, theta, h, memory)
 

@@ -210,7 +210,7 @@ def advance(actuator, t, k, given, step, equations):
             theta[8], theta[9], theta[10], theta[11])
     alone = (unknown_force, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     for i in range(steps):
-        sum_v = sum_a = sum_1 = sum_2 = sum_o = 0.0
+        sum_v = sum_a = sum_1 = sum_2 = sum_o = sum_turning = 0.0
         xs, vs, p1s, p2s, os = x, v, p1, p2, omega
         a = d1 = d2 = do = turning = 0.0
         for stage in range(4):
@@ -253,6 +253,7 @@ def advance(actuator, t, k, given, step, equations):
             sum_1 += weight * d1
             sum_2 += weight * d2
             sum_o += weight * do
+            sum_turning += weight * turning
         g = h / 6.0
         x += g * sum_v
         v += g * sum_a
@@ -265,6 +266,7 @@ def advance(actuator, t, k, given, step, equations):
             omega = turning - unknown_speed
         if any_memory:
             s[of.T], s[of.X], s[of.V], s[of.P1], s[of.P2] = t + (i + 1) * h, x, v, p1, p2
+            s[of.OMEGA] = sum_turning / 6.0
             effects.update_memory(s, theta, updates, h, memory)
         last = (last + 1) % RING
         past[last, 0], past[last, 1], past[last, 2], past[last, 3] = x, v, p1, p2

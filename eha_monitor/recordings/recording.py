@@ -150,12 +150,20 @@ class Recording:
             start_ns=self.start_ns + round(start * self.sample_time * 1e9))
 
 
+def sampled_rows(rows: int) -> np.ndarray:
+    """Return numbers of the rows that :func:`sample_of` takes, and of the gaps in it, (n,)."""
+    if rows <= columns.IN_MEMORY:
+        return np.arange(rows)
+    starts = np.linspace(0, rows - STRETCH, max(columns.IN_MEMORY // (STRETCH + 1), 1)).astype(int)
+    return np.add.outer(starts, np.arange(STRETCH + 1)).ravel()  # the last one is the gap
+
+
 def sample_of(recording: Recording) -> Recording:
     """Return stretches from all over a long recording, a missing row between two; or itself."""
-    rows, count = len(recording), max(columns.IN_MEMORY // (STRETCH + 1), 1)
+    rows = len(recording)
     if rows <= columns.IN_MEMORY:
         return recording
-    starts = np.linspace(0, rows - STRETCH, count).astype(int)
+    starts = sampled_rows(rows)[:: STRETCH + 1]
     channels = {}
     for name, values in recording.channels.items():
         channels[name] = np.concatenate([

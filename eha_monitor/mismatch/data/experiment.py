@@ -8,7 +8,13 @@ import numpy as np
 from eha_monitor.errors import InputError
 from eha_monitor.estimation.hold_choice import at_followed_gain
 from eha_monitor.estimation.rig_model import force_of
-from eha_monitor.estimation.sensors import noise_levels, quantum, without_spikes
+from eha_monitor.estimation.sensors import (
+    PRESSURE_ERRORS,
+    noise_levels,
+    quantum,
+    true_pressure,
+    without_spikes,
+)
 from eha_monitor.mismatch.data.inputs import (
     CLOSED,
     FORCED,
@@ -20,6 +26,7 @@ from eha_monitor.mismatch.data.inputs import (
 )
 from eha_monitor.mismatch.data.stretch import BURN_IN, Rows, Stretch, windows_of
 from eha_monitor.mismatch.policy import POLICY, SearchPolicy
+from eha_monitor.physics.contributions import NAMES, circuit_of
 from eha_monitor.physics.effect import Ranges
 from eha_monitor.physics.parameters import theta_of
 from eha_monitor.physics.plant import N_OUTPUTS
@@ -123,6 +130,9 @@ def experiment_of(recordings: list[Recording], settings: Settings,
     if mode == OPEN:  # a number of the loop that this input does not leave open
         settings = at_followed_gain(sample_of(first), settings)
     theta, active = theta_of(settings.rig, settings.effects)
+    if mode == OPEN and not by_loop(first, settings.rig):  # what the pump turns is late already
+        active[NAMES.index("command_delay")] = False
+    circuit = circuit_of(theta, active)
     wanted = mode == CLOSED and wants_speed(first)
     if wanted:
         theta[K_POS] = PULL
@@ -142,10 +152,12 @@ def experiment_of(recordings: list[Recording], settings: Settings,
         for one in windows:
             rows = recording if chosen is None else rows_of(recording, one.first, one.last)
             channels, found = without_spikes({name: rows.channels[name] for name in names}, noise)
+            begun = one.first * recording.sample_time
+            if mode == FORCED:  # the sensors drive the model
+                channels |= meant(channels, circuit, begun, recording.sample_time)
             for name, count in found.items():
                 spikes[name] = spikes.get(name, 0) + count
-            parts += stretches_of(rows, channels, settings, mode, levels, hold_out,
-                                  one.first * recording.sample_time)
+            parts += stretches_of(rows, channels, settings, mode, levels, hold_out, begun)
             columns.append(channels)
     if not parts:
         raise InputError(f"{first.source}: expected at least {SHORTEST:g} s without a gap of "
@@ -164,6 +176,21 @@ def experiment_of(recordings: list[Recording], settings: Settings,
                       by_pressures=mode == FORCED and settings.rig.area_1 is not None
                       and "p1" in levels and "p2" in levels, held=is_held(mode, settings),
                       windows=chosen is not None, without=without)
+
+
+def by_loop(recording: Recording, rig: Rig) -> bool:
+    """Tell whether the pump's speed is what the config's position loop makes of x_d and x."""
+    return rig.position_gain is not None and recording.has("x_d")
+
+
+def meant(channels: dict, w: np.ndarray, begun: float, dt: float) -> dict[str, np.ndarray]:
+    """Return the pressures, (n,) Pa, less the errors that the config knows of their sensors.
+
+    ``w`` is the config's circuit; the first sample is ``begun`` s after the recording began.
+    """
+    time = begun + np.arange(len(channels["x"])) * dt
+    return {name: true_pressure(channels[name], name, w, time)
+            for name in channels.keys() & PRESSURE_ERRORS.keys()}
 
 
 def is_held(mode: int, settings: Settings) -> bool:
@@ -202,7 +229,7 @@ def mode_of(recording: Recording, settings: Settings) -> int:
                          f"{', '.join(recording.channels) or 'nothing'}")
     if known and wants_speed(recording):
         return CLOSED
-    if known and rig.position_gain is not None and recording.has("x_d"):
+    if known and by_loop(recording, rig):
         return OPEN if settings.command_hold == "sampled" else CLOSED
     if known and recording.has("omega"):
         return OPEN
@@ -294,7 +321,7 @@ def stretches_of(recording: Recording, channels: dict, settings: Settings, mode:
         u, sigma, held = channels["omega_d"] / PULL + channels["x"], 0.0, False
     elif mode == CLOSED:
         u, sigma, held = channels["x_d"], 0.0, False
-    elif mode == OPEN and rig.position_gain is not None and "x_d" in channels:
+    elif mode == OPEN and by_loop(recording, rig):
         u, sigma = rig.position_gain * (channels["x_d"] - channels["x"]), 0.0
         held = is_held(mode, settings)
     elif mode == OPEN:
@@ -302,7 +329,7 @@ def stretches_of(recording: Recording, channels: dict, settings: Settings, mode:
     else:
         u, sigma, held = force_of(rig, channels), 0.0, False
     z = np.column_stack([channels.get(name, nothing) for name in OUTPUTS])
-    if mode == OPEN and not (held and rig.position_gain is not None and "x_d" in channels):
+    if mode == OPEN and not (held and by_loop(recording, rig)):
         z[:, 4] = np.nan  # the pump speed is the input
     if mode == FORCED:
         z[:, 2:] = np.nan

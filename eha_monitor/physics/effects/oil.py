@@ -86,8 +86,7 @@ POSITION_DEPENDENT_VOLUME = Effect(
 # Z = D_p I/T_l, which does not depend on the length: with T_l = 0 there is no line.  dp loads the
 # line: a model without it has another resonance.
 #
-# Both are staggered by half a step (leapfrog): m[0] is n half a step ahead, m[1] is dp_l with half
-# a step of the shaft's flow on top, which the next step would otherwise have to remember.
+# Both are staggered by half a step (leapfrog): m[0] is n half a step ahead of m[1], which is dp_l.
 SHORTEST = 1.0  # integration steps: a faster line is not resolved, and left out
 
 
@@ -100,22 +99,20 @@ def line_dynamics_term(s, p, m, c):
 
 @njit
 def line_dynamics_update(s, p, h, m):
-    """Carry both over one step that has ended at the signals ``s``."""
+    """Carry both over one step of ``h`` s that has ended at the signals ``s``."""
     time, impedance = p[0], p[2]
     omega, dp = s[of.OMEGA], s[of.P1] - s[of.P2]
     if time < SHORTEST * h:
         m[0] = 0.0
         m[1] = 0.0
         return
-    filling = 0.5 * h * impedance / time  # Pa for half a step of 1 rad/s
     braking = p[1] * h / time
     if m[0] == 0.0 and m[1] == 0.0:  # new: the line starts in steady flow
         m[0] = omega
-        m[1] = dp + 2.0 * p[1] * impedance * omega + filling * omega
+        m[1] = dp + 2.0 * p[1] * impedance * omega
         return
-    pressure = m[1] + filling * (omega - 2.0 * m[0])
-    m[0] = ((1.0 - braking) * m[0] + h / (impedance * time) * (pressure - dp)) / (1.0 + braking)
-    m[1] = pressure + filling * omega
+    m[1] += h * impedance / time * (omega - m[0])
+    m[0] = ((1.0 - braking) * m[0] + h / (impedance * time) * (m[1] - dp)) / (1.0 + braking)
 
 
 def line_dynamics_starts(r) -> tuple[dict[str, float], ...]:
