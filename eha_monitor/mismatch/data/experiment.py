@@ -373,10 +373,15 @@ def pressure_of(off: np.ndarray, rig: Rig, dt: float) -> np.ndarray:
 
 def smooth(values: np.ndarray, otherwise: float) -> np.ndarray:
     """Return a pressure without gaps and with less noise (mean of five), Pa."""
+    return averaged(values, 5) if np.isfinite(values).any() else np.full(len(values), otherwise)
+
+
+def averaged(values: np.ndarray, reach: int) -> np.ndarray:
+    """Return means over ``reach`` samples around each, gaps filled, (n,)."""
     if not np.isfinite(values).any():
-        return np.full(len(values), otherwise)
-    whole = filled(values)
-    return np.convolve(np.pad(whole, 2, mode="edge"), np.full(5, 0.2), mode="valid")
+        return values
+    whole = np.pad(filled(values), (reach // 2, reach - 1 - reach // 2), mode="edge")
+    return np.convolve(whole, np.full(reach, 1.0 / reach), mode="valid")
 
 
 def ranges_of(columns: list[dict], settings: Settings, dt: float) -> Ranges:
@@ -393,6 +398,9 @@ def ranges_of(columns: list[dict], settings: Settings, dt: float) -> Ranges:
         return None if values is None else (values[reach:] - values[:-reach]) / (reach * dt)
 
     reach = max(1, round(0.01 / dt))
+    # The largest of many noisy readings is none of the rig's.
+    columns = [c | {name: averaged(c[name], reach) for name in c.keys() & {"p1", "p2", "omega"}}
+               for c in columns]
     x = pooled(lambda c: c.get("x"))
     v = np.abs(pooled(lambda c: slope(c.get("x"), reach)))
     a = np.abs(pooled(lambda c: slope(slope(c.get("x"), reach), reach)))
