@@ -139,8 +139,8 @@ def main() -> None:
         for way, choose in ways(given.seed).items():
             started = time.process_time()
             rig = ConcealedRig(case, bounds, settings.simulation.noise.position)
-            planner = Planner(settings, bounds, case.name, choose)
-            *_, last = identify(rig, planner, given.probability)
+            planner = Planner(settings, bounds, case.name, given.probability, choose)
+            *_, last = identify(rig, planner)
             decided = last.end == DECIDED
             right = decided and effects_of(last.names, truth) == truth
             rows.setdefault(way, []).append((last.seconds, decided, right))

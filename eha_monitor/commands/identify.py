@@ -61,7 +61,7 @@ def identify(ros_args: list[str], config: Path | None, simulated: Path | None, o
     given = config_of(config)
     source = str(config or "default config")
     bounds = bounds_of(given.settings, source)
-    planner = Planner(given.settings, bounds, source)
+    planner = Planner(given.settings, bounds, source, probability)
     if dry_run:
         show_first(planner, planned_bag, overwrite)
         return
@@ -71,9 +71,9 @@ def identify(ros_args: list[str], config: Path | None, simulated: Path | None, o
 
     def experiment(rig: "Rig") -> str:
         with rig_motion(given.settings.rig.motion):  # of this thread
-            rounds = run(rig, planner, probability, lambda one, count: written(
+            rounds = run(rig, planner, lambda one, count: written(
                 one, count, out, given.settings, overwrite))
-            return finish(rounds, planner, probability, out, command,
+            return finish(rounds, planner, out, command,
                           (json_file, report_file, config_file), config)
 
     if simulated is not None:
@@ -88,7 +88,7 @@ def identify(ros_args: list[str], config: Path | None, simulated: Path | None, o
         raise InputError(aborted)
 
 
-def run(rig: "Rig", planner: "Planner", wanted: float,
+def run(rig: "Rig", planner: "Planner",
         each: Callable[["Round", int], None]) -> list["Round"]:
     """Run the experiment; ``each`` is told every round as it comes."""
     from eha_monitor.api.read import checked
@@ -96,7 +96,7 @@ def run(rig: "Rig", planner: "Planner", wanted: float,
 
     rounds = []
     with common.progress_bar() as told:
-        for one in rounds_of(rig, planner, wanted, lambda recording: checked(
+        for one in rounds_of(rig, planner, lambda recording: checked(
                 [recording], planner.settings), told):
             rounds.append(one)
             each(one, len(rounds))
@@ -115,7 +115,7 @@ def written(one: "Round", count: int, out: Path, settings: "Settings", overwrite
                         overwrite=overwrite)
 
 
-def finish(rounds: list["Round"], planner: "Planner", wanted: float, out: Path, command: str,
+def finish(rounds: list["Round"], planner: "Planner", out: Path, command: str,
            targets: tuple[Path | None, Path | None, Path | None], config: Path | None) -> str:
     """Write JSON, report and config; return why the experiment was aborted, or ""."""
     from eha_monitor.api.diagnosis_answer import answer, written_config
@@ -129,7 +129,7 @@ def finish(rounds: list["Round"], planner: "Planner", wanted: float, out: Path, 
                   if one.diagnosis is not None), None)
     bags = [str(one.ran.bag or out / one.ran.recording.source) for one in rounds]
     if json_file:
-        write_json(json_file, finite(tree(rounds, bags, planner.bounds, wanted,
+        write_json(json_file, finite(tree(rounds, bags, planner.bounds, planner.wanted,
                                           settings.rig.sample_time)
                                      | {"diagnosis": answer(found) if found else None}))
     if found is not None:

@@ -252,7 +252,7 @@ def otherwise(contest: Contest, x_d: np.ndarray, bounds: Bounds) -> tuple[str, .
     found = []
     for words, experiment, structures in changes(contest, bounds):
         other = Contest(experiment, structures, recorded=False)
-        gram = other.told_by(without_noise(demanded(experiment, words, x_d), other.fit))
+        gram = other.told_by(without_noise(demanded(experiment, other.fit, words, x_d), other.fit))
         if gram is None:
             continue
         expected = other.expected(gram)[0]
@@ -310,7 +310,7 @@ def changes(contest: Contest, bounds: Bounds
 def seen(experiment: Experiment, fit: Fit) -> Fit:
     """Return a fit with the gains and innovations of other sensors, the rig at rest."""
     x = float(np.nanmean(experiment.stretches[0].z[:, 0]))
-    rest = demanded(experiment, "rest", np.full(len(experiment.stretches[0]), x))
+    rest = demanded(experiment, fit, "rest", np.full(len(experiment.stretches[0]), x))
     return with_unknowns(simulated(rest, fit), fit, fit.unknowns)
 
 
@@ -346,15 +346,14 @@ class Round:
     would: tuple[str, ...] = ()
 
 
-def identify(rig: Rig, planner: Planner, wanted: float,
+def identify(rig: Rig, planner: Planner,
              check: Callable[[Recording], object] = lambda recording: None,
              report: Report | None = None) -> Iterator[Round]:
     """Run motions until a set of effects has the probability asked for, or none can get it.
 
     Parameters
     ----------
-    rig : what moves; ``planner`` knows config and limits.
-    wanted : probability at which a set stands.
+    rig : what moves; ``planner`` knows config, limits and the probability asked for.
     check : of each recording before it is diagnosed; raises what is wrong with it.
     report : told what is done and how far it is, 0 to 1.
 
@@ -391,7 +390,7 @@ def identify(rig: Rig, planner: Planner, wanted: float,
                 "the balances judge what this rig records, and plan nothing: advise says what to "
                 "record"))
         one = judged(planned, ran, seconds, found, naming)
-        one = following(planner, naming, one, wanted, rig.position())
+        one = following(planner, naming, one, rig.position())
         planned = one.following
         yield one
 
@@ -409,10 +408,9 @@ def judged(planned: Planned, ran: Ran, seconds: float, found: Diagnosis, naming:
                  {names: sets[names] for names in order[1:] if sets[names] >= 0.01})
 
 
-def following(planner: Planner, naming: Naming, now: Round, wanted: float, position: float
-              ) -> Round:
+def following(planner: Planner, naming: Naming, now: Round, position: float) -> Round:
     """Return a round with the motion to run next; or why there is none."""
-    if now.probability >= wanted:
+    if now.probability >= planner.wanted:
         return replace(now, end=DECIDED)
     structures = running(naming)
     if 1.0 - structures[0].probability < FEW:  # what else may be there has no model yet

@@ -70,7 +70,8 @@ class Planned:
     motion : what is demanded, without the way to where it begins.
     x_d : (n,) m, one value to a sample: way, rest, motion, rest.
     expected : probability that the right structure is expected to have after it; ``now`` before,
-        ``at_last`` after as many of it as there is time for.
+        ``at_last`` after as many as there is time for of the motion that then tells most.
+    until : s of it until the right structure is expected to stand; inf if not in time.
     pair : the two structures that it is to tell apart first, or None; ``log_units`` between them
         with what is there already, expected.
     peaks : limit -> largest value that any likely structure predicts, SI; ``shown``
@@ -82,6 +83,7 @@ class Planned:
     expected: float = np.nan
     now: float = np.nan
     at_last: float = np.nan
+    until: float = np.inf
     pair: tuple[Names, Names] | None = None
     log_units: float = np.nan
     peaks: dict[str, float] = field(default_factory=dict)
@@ -304,14 +306,15 @@ class Planner:
     Parameters
     ----------
     bounds : complete limits; ``source`` names the config in errors.
-    choose : among what is allowed; by default what is expected to decide most, and of equals the
-        shortest.
+    wanted : probability at which a structure stands.
+    choose : among what is allowed; :func:`most_decisive` by default.
     """
 
-    def __init__(self, settings: Settings, bounds: Bounds, source: str,
+    def __init__(self, settings: Settings, bounds: Bounds, source: str, wanted: float = 0.95,
                  choose: Choice | None = None):
         rig = settings.rig
         self.settings, self.bounds, self.source = settings, bounds, source
+        self.wanted = wanted
         self.choose = choose or most_decisive
         per_speed = rig.area_1 / rig.pump_displacement
         self.limits = Limits(0.5 * (bounds.lower + bounds.upper),
@@ -351,18 +354,24 @@ class Planner:
             if one is None or len(one.x_d) * contest.experiment.dt > left:
                 continue
             gram = contest.told_by(without_noise(
-                demanded(contest.experiment, motion.name, one.x_d), contest.fit))
+                demanded(contest.experiment, contest.fit, motion.name, one.x_d), contest.fit))
             if gram is None:
                 continue
             expected, (i, j), units = contest.expected(gram)
             names = [structure.names for structure in contest.structures]
-            often = int(left / (len(one.x_d) * contest.experiment.dt))
-            found.append(replace(one, expected=expected, now=now_of(contest),
-                                 at_last=contest.expected(times(gram, often))[0],
+            seconds = len(one.x_d) * contest.experiment.dt
+            after = [expected, *(contest.expected(times(gram, often))[0]
+                                 for often in range(2, int(left / seconds) + 1))]
+            found.append(replace(one, expected=expected, now=now_of(contest), at_last=after[-1],
+                                 until=seconds * next((often for often, value in enumerate(
+                                     after, 1) if value >= self.wanted), np.inf),
                                  pair=(names[i], names[j]) if i != j else None,
                                  log_units=float(units[i, j])))
         # Where the limits leave no motion that shows, a rest alone is no experiment.
-        return self.choose(found) if any(moving(one.motion) for one in found) else None
+        if not any(moving(one.motion) for one in found):
+            return None
+        chosen = self.choose(found)
+        return replace(chosen, at_last=max(chosen.at_last, *(one.at_last for one in found)))
 
     def within(self, contest: Contest, motion: Motion, position: float) -> Planned | None:
         """Return a motion at a size that keeps every limit; None where there is none.
@@ -379,8 +388,9 @@ class Planner:
             x_d = self.led(demand_of(motion, dt), position, dt)
             if len(x_d) * dt > self.bounds.motion_time:
                 return None
-            blank = demanded(contest.experiment, motion.name, x_d)
-            shown = [free_run(blank, blank.stretches[0], fit) for fit in models]
+            blanks = [demanded(contest.experiment, fit, motion.name, x_d) for fit in models]
+            shown = [free_run(blank, blank.stretches[0], fit)
+                     for blank, fit in zip(blanks, models, strict=True)]
             peaks = [self.peaks(one, x_d, dt) for one in shown]
             most = {key: max(one[key] for one in peaks) for key in peaks[0]}
             worst = max(self.used(most).values())
@@ -455,9 +465,17 @@ def now_of(contest: Contest) -> float:
 
 
 def most_decisive(found: Sequence[Planned]) -> Planned:
-    """Return the motion with the highest expected probability, of equals the shortest."""
-    return ties.best(found, lambda one: one.expected,
-                     lambda one: (len(one.x_d), len(one.motion.segments)), ALIKE)
+    """Return the motion that is expected to decide first, of equals the shortest.
+
+    Where none does in the time that is left, the one after which most is expected to be known.
+    """
+    def plainness(one: Planned) -> tuple[int, int]:
+        return len(one.x_d), len(one.motion.segments)
+
+    deciding = [one for one in found if np.isfinite(one.until)]
+    if deciding:
+        return ties.best(deciding, lambda one: -one.until, plainness)
+    return ties.best(found, lambda one: one.expected, plainness, ALIKE)
 
 
 def times(gram: Gram, often: int) -> Gram:

@@ -11,8 +11,16 @@ from eha_monitor.mismatch.data.experiment import BURN_IN, Experiment, Stretch
 from eha_monitor.mismatch.data.inputs import CLOSED, FORCED, cubics
 from eha_monitor.mismatch.likelihood.fit import Fit, free_run
 from eha_monitor.physics import signals as s
-from eha_monitor.physics.contributions import new_memory
-from eha_monitor.physics.plant import N_OUTPUTS
+from eha_monitor.physics.contributions import circuit_of, new_memory
+from eha_monitor.physics.plant import (
+    N_OUTPUTS,
+    Y_P1,
+    Y_P2,
+    Step,
+    actuator_of,
+    new_state,
+    sense,
+)
 from eha_monitor.physics.simulator import demanded_position, total_duration
 from eha_monitor.settings.rig import Segment
 
@@ -201,7 +209,7 @@ def with_motion(experiment: Experiment, fit: Fit, limits: Limits, motion: Motion
     """Return the rig at rest where a motion begins, driven by it."""
     if experiment.mode == FORCED:
         return forced(experiment, fit, limits, motion)
-    return demanded(experiment, motion.name, demand_of(motion, experiment.dt))
+    return demanded(experiment, fit, motion.name, demand_of(motion, experiment.dt))
 
 
 def demand_of(motion: Motion, dt: float) -> np.ndarray:
@@ -210,18 +218,25 @@ def demand_of(motion: Motion, dt: float) -> np.ndarray:
     return demanded_position(motion.segments, time)
 
 
-def demanded(experiment: Experiment, name: str, x_d: np.ndarray) -> Experiment:
-    """Return the rig at rest at the first of the demanded positions (n,), driven by them."""
-    rig, time = experiment.settings.rig, np.arange(len(x_d)) * experiment.dt
-    z = np.full((len(time), N_OUTPUTS), np.nan)
-    charge, charge_2 = rig.charge_pressure, rig.charge_pressure * rig.area_1 / rig.area_2
-    for column, value in enumerate((x_d[0], 0.0, charge, charge_2, 0.0)):
-        if experiment.used[column]:
-            z[:, column] = value
+def demanded(experiment: Experiment, fit: Fit, name: str, x_d: np.ndarray) -> Experiment:
+    """Return a model's rig at rest at the first of the demanded positions (n,), driven by them."""
+    time = np.arange(len(x_d)) * experiment.dt
+    y = at_rest(fit, x_d[0])
+    shown = np.zeros(N_OUTPUTS)
+    sense(actuator_of(y, new_memory()), 0.0, Step(experiment.dt, experiment.steps),
+          circuit_of(fit.theta, fit.active), shown)
+    z = np.where(experiment.used, shown, np.nan) * np.ones((len(time), 1))
     counted = time >= BURN_IN
-    stretch = Stretch(name, 0.0, z, cubics(x_d, 0.0), np.full(len(time), charge),
-                      np.full(len(time), charge_2), counted, np.zeros(len(time), dtype=bool))
+    stretch = Stretch(name, 0.0, z, cubics(x_d, 0.0), np.full(len(time), y[Y_P1]),
+                      np.full(len(time), y[Y_P2]), counted, np.zeros(len(time), dtype=bool))
     return replace(experiment, mode=CLOSED, stretches=(stretch,))
+
+
+def at_rest(fit: Fit, x_d: float) -> np.ndarray:
+    """Return a model's state at rest where the drive reads ``x_d`` m, (N_STATE,)."""
+    theta, w = fit.theta, circuit_of(fit.theta, fit.active)
+    charge, scale = theta[s.P_CHARGE], w[s.POSITION_SCALE] if w[s.IN_LOOP] else 0.0
+    return new_state(x_d / (1.0 + scale), charge, charge * theta[s.AREA_1] / theta[s.AREA_2])
 
 
 def forced(experiment: Experiment, fit: Fit, limits: Limits, motion: Motion) -> Experiment:

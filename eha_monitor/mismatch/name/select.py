@@ -62,6 +62,7 @@ MOST_GOING = 2  # of these
 LOOKS = 3  # handfuls that are refitted from one linearisation
 WITHIN_REACH, FINALISTS = 20.0, 3  # log units; sets that are fitted to the end
 BENT = 0.2  # of the logarithm of B or beta_e
+MOST_LOST = 10.0  # times what can be won: a guess that loses more is none
 CLOSE = 300.0  # log units: within them a set is a rival that is fitted to the end
 LADDER = (1.0, 4.0, 16.0, 64.0, 256.0)  # times an effect's start
 ROUNDS = 8
@@ -211,9 +212,15 @@ def refit(experiment: Experiment, view: Linearised, chosen: list[Ranked], refits
     def entered(one: Ranked) -> Fit:
         return entered_at_best(experiment, view.fit, view.what, one)
 
+    # What a guess loses at first it must win back, and there is no more to win than is lacking.
+    best = refits.fits[refits.best()]
+    to_win = CLOSE + max(experiment.n * lack_of(experiment, best), 0.0)
+    least = best.log_likelihood - MOST_LOST * to_win
+
     def quick(one: Ranked) -> Fit:
-        made = ties.best([looked(experiment, entered(each), view.slopes)
-                          for each in from_each_start(view.what, one)],
+        starts = [entered(each) for each in from_each_start(view.what, one)]
+        made = ties.best([looked(experiment, start, view.slopes) if start.log_likelihood > least
+                          else start for start in starts],
                          lambda fit: fit.log_likelihood, within=ties.GUESS)
         if not np.isfinite(made.log_likelihood) or made.unknowns == view.fit.unknowns:
             return made
