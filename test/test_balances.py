@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 from machine_tools import healthy_machine, stranger, stranger_settings
 from mismatch_tools import recorded
+from rig_tools import settings as rig_settings
+from test_filters_effects import CASES, recording_of
 
 from eha_monitor.balances.alone import alone
 from eha_monitor.balances.answer import Asked, answered
@@ -20,6 +22,7 @@ from eha_monitor.balances.scatter import amplitudes_of
 from eha_monitor.balances.table import pooled_table, tables_of
 from eha_monitor.concealed.cases import Case
 from eha_monitor.mismatch.diagnose import diagnose
+from eha_monitor.recordings import columns
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings import settings_from_tree
 from eha_monitor.settings.hypothesis import hypothesis_of
@@ -55,6 +58,28 @@ def test_one_recording_names_what_is_there(one):
     assert force.after_rms < 0.2 * force.before_rms and force.noise_rms < force.after_rms * 2.0
     assert one.location.balance["force"] == pytest.approx(1.0)
     assert one.curves and one.overlays[0].signal == "force"
+
+
+@pytest.mark.parametrize("case", sorted(CASES))
+def test_what_the_config_knows_is_not_named_again(case):
+    """With an effect of the catalogue in the config nothing is missing, and B is right."""
+    recording, effects = recording_of(case)
+    found = answered([recording], rig_settings(effects=effects))
+    assert found.verdict == "consistent" and not found.effects
+    assert abs(found.after["B"].value - 600.0) < 3.0 * found.after["B"].stddev
+
+
+def test_a_drift_of_a_long_recording_counts_from_its_beginning(monkeypatch):
+    """Only samples of a long recording are taken: their times are those of the recording."""
+    recording, effects = recording_of("pressure_drift")
+    known = rig_settings(effects=effects)
+    whole = course_of(recording, known)
+    monkeypatch.setattr(columns, "IN_MEMORY", 8400)  # two stretches, with a gap between
+    parts = course_of(recording, known)
+    assert len(parts) < len(whole)
+    late = slice(-300, -50)  # the last two seconds
+    assert parts.p1[late].mean() - parts.p2[late].mean() == pytest.approx(
+        whole.p1[late].mean() - whole.p2[late].mean(), abs=300.0)
 
 
 def test_effects_of_the_config_count_as_known(settings):

@@ -9,12 +9,18 @@ from command_tools import refused
 from hypothesis import given
 from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
+from rig_tools import MULTISINE, simulated
+from rig_tools import settings as rig_settings
 
 from eha_monitor.cli import main
 from eha_monitor.errors import InputError
 from eha_monitor.identify.experiment import NEEDED, SimulatedRig, Watch, bounds_of
-from eha_monitor.identify.plan import Planner, standing, within
+from eha_monitor.identify.plan import Planned, Planner, most_decisive, standing, within
+from eha_monitor.mismatch.advise.motions import Motion, demanded
+from eha_monitor.mismatch.data.experiment import experiment_of
+from eha_monitor.mismatch.likelihood.fit import free_run
 from eha_monitor.mismatch.name.naming import Naming
+from eha_monitor.mismatch.name.refit import unfitted
 from eha_monitor.recordings.read import read_recording
 from eha_monitor.settings import load_settings, settings_from_tree
 
@@ -22,6 +28,31 @@ CONFIG = "config/identify.yaml"
 NUMBERS = (st.floats(-1e9, 1e9) | st.sampled_from(["30 mm", "-3 cm", "5 m/s^2", "60 bar", "2 s", 0,
                                                    None, "fast", True]) | st.floats())
 KEYS = (*NEEDED, "motion_time", "total_time", "silence", "command_lead")
+
+
+@pytest.mark.parametrize("effects", [
+    {"pressure_offset": {"b_1": 4e4, "b_2": 0.0}}, {"pressure_scale": {"k_1": 0.05, "k_2": 0.0}},
+    {"position_scale": {"k": 0.05}}, {"position_scale": {"k": 0.05, "in_loop": 1.0}}])
+def test_a_planned_rest_is_one_whatever_the_sensors_show(effects):
+    """Other readings would push the piston, and seem to tell models apart."""
+    settings = rig_settings(effects=effects)
+    experiment = experiment_of([simulated(MULTISINE, 2.0).recording(1)], settings)
+    fit = unfitted(experiment)
+    rest = demanded(experiment, fit, "rest", np.full(2000, 0.01))
+    shown = free_run(rest, rest.stretches[0], fit)
+    assert np.ptp(shown[:, 0]) < 1e-9 and np.ptp(shown[:, 2]) < 1.0 and np.ptp(shown[:, 3]) < 1.0
+
+
+def test_the_motion_that_decides_first_is_run():
+    """One long motion against two short ones; where neither decides, what tells more."""
+    def motion(samples, expected, until):
+        return Planned(Motion(str(samples), "", {}), np.zeros(samples), expected, until=until)
+
+    long, short, never = motion(9000, 0.99, 9.0), motion(3000, 0.9, 6.0), motion(1000, 0.5, np.inf)
+    assert most_decisive([long, short, never]) is short
+    assert most_decisive([long, replace(short, until=12.0)]) is long
+    slow = [replace(one, until=np.inf) for one in (long, short)]
+    assert most_decisive(slow) is slow[0]
 
 
 @given(st.dictionaries(st.sampled_from(KEYS), NUMBERS))
