@@ -24,7 +24,7 @@ from eha_monitor.mismatch.advise.motions import demanded, excitation_tree, witho
 from eha_monitor.mismatch.advise.separate import simulated
 from eha_monitor.mismatch.advise.words import motion_sentence
 from eha_monitor.mismatch.data.experiment import OUTPUTS, Experiment
-from eha_monitor.mismatch.diagnose import diagnose_and_name
+from eha_monitor.mismatch.diagnose import Answered, diagnose_and_name
 from eha_monitor.mismatch.diagnosis import Diagnosis
 from eha_monitor.mismatch.likelihood.fit import Fit, with_unknowns
 from eha_monitor.mismatch.name.naming import Names, Naming
@@ -315,6 +315,7 @@ def seen(experiment: Experiment, fit: Fit) -> Fit:
 
 
 DECIDED, INSEPARABLE, TIME, ABORTED = "decided", "inseparable", "time", "aborted"
+BALANCES = "balances"
 FEW = 0.05  # probability of all rivals together, below which what has no model yet is looked for
 Report = Callable[[str, float], None]
 
@@ -371,6 +372,7 @@ def identify(rig: Rig, planner: Planner,
     say("planning the first motion", 0.0)
     planned: Planned | None = planner.first(rig.position())
     recordings: list[Recording] = []
+    known: list[Fit] = []
     seconds, number = 0.0, 0
     while planned is not None:
         number += 1
@@ -382,30 +384,45 @@ def identify(rig: Rig, planner: Planner,
             return
         check(ran.recording)
         recordings.append(ran.recording)
-        found, naming = diagnose_and_name(recordings, planner.settings, say)
-        if naming is None:
-            raise InputError(f"{ran.recording.source}: " + (
-                f"{found.message}; expected a piston that follows the command"
-                if found.verdict == "insufficient_data" else
-                "the balances judge what this rig records, and plan nothing: advise says what to "
-                "record"))
-        one = judged(planned, ran, seconds, found, naming)
-        one = following(planner, naming, one, rig.position())
+        answer = diagnose_and_name(recordings, planner.settings, say, known)
+        if answer.diagnosis.verdict == "insufficient_data":
+            raise InputError(f"{ran.recording.source}: {answer.diagnosis.message}; expected a "
+                             "piston that follows the command")
+        one = judged(planned, ran, seconds, answer)
+        if answer.naming is not None:
+            known = [fit for names, fit, _ in answer.naming.tried if names]
+            one = following(planner, answer.naming, one, rig.position())
+        if one.following is None and not answer.by_filter:
+            one = by_least_squares(one, planner.wanted)
         planned = one.following
         yield one
 
 
-def judged(planned: Planned, ran: Ran, seconds: float, found: Diagnosis, naming: Naming
-           ) -> Round:
+def judged(planned: Planned, ran: Ran, seconds: float, answer: Answered) -> Round:
     """Return what is known after a motion.
 
-    Nothing stands beside a verdict that something without a name is there.
+    Nothing stands beside a verdict that something without a name is there, or where least squares
+    on the balances contradict a filter.
     """
-    sets = standing(naming)
-    order = [names for names in sets if found.verdict != "unexplained"] or [frozenset()]
-    return Round(planned, ran, seconds, found, order[0],
-                 sets[order[0]] if order[0] in sets and found.verdict != "unexplained" else 0.0,
+    sets = standing(answer.naming) if answer.naming else {}
+    stands = answer.by_filter and answer.diagnosis.verdict != "unexplained"
+    order = [names for names in sets if stands] or [frozenset()]
+    return Round(planned, ran, seconds, answer.diagnosis, order[0],
+                 sets[order[0]] if order[0] in sets and stands else 0.0,
                  {names: sets[names] for names in order[1:] if sets[names] >= 0.01})
+
+
+def by_least_squares(one: Round, wanted: float) -> Round:
+    """Return the last round where least squares on the balances answer: they plan no motion.
+
+    A set is as probable as its least probable effect, or as that nothing is missing.
+    """
+    found = one.diagnosis
+    sure = {"mismatch": min((effect.probability for effect in found.effects), default=0.0),
+            "consistent": found.probability.get("consistent", 0.0)}.get(found.verdict, 0.0)
+    return replace(one, names=frozenset(effect.name for effect in found.effects),
+                   probability=sure, rivals={}, end=DECIDED if sure >= wanted else BALANCES,
+                   would=found.advice)
 
 
 def following(planner: Planner, naming: Naming, now: Round, position: float) -> Round:
@@ -469,6 +486,9 @@ def round_words(one: Round, count: int, dt: float) -> str:
         return f"{head}. Decided"
     if one.end == TIME:
         return f"{head}. The time is up: no motion fits into what is left of it"
+    if one.end == BALANCES:
+        return (f"{head}. This is the answer of least squares on the balances, which plan no "
+                f"motion{''.join(f'; {line}' for line in one.would)}")
     if one.end == INSEPARABLE:
         more = f"; what would: {'; '.join(one.would)}" if one.would else ""
         return f"{head}. No motion within the limits distinguishes what is left{more}"

@@ -1,9 +1,10 @@
 """The diagnosis from end to end: locate, name, model, show, advise."""
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 
@@ -44,6 +45,7 @@ from eha_monitor.mismatch.learn.validated import (
     validated_term,
 )
 from eha_monitor.mismatch.likelihood.along import filtered_tracks
+from eha_monitor.mismatch.likelihood.fit import Fit
 from eha_monitor.mismatch.locate import location as locate
 from eha_monitor.mismatch.locate.terms import BALANCES, missing_terms
 from eha_monitor.mismatch.name.before import FirstView, at_its_angle, informative
@@ -110,67 +112,84 @@ def diagnose(recordings: list[Recording], settings: Settings, held_out: Recordin
     """
     with computing(*(recording.source for recording in recordings)):
         return _diagnosed(recordings, settings, held_out, progress or (lambda text, share: None),
-                          hypothesis, without, vary)[0]
+                          hypothesis, without, vary).diagnosis
+
+
+class Answered(NamedTuple):
+    """A diagnosis, and the sets and fits that a filter has found, whoever answers.
+
+    naming : None where no filter was asked, or none follows.
+    by_filter : False where the balances answer.
+    """
+
+    diagnosis: Diagnosis
+    naming: Naming | None
+    by_filter: bool
 
 
 def diagnose_and_name(recordings: list[Recording], settings: Settings,
-                      progress: Report | None = None) -> tuple[Diagnosis, Naming | None]:
-    """Diagnose, and return the sets and fits behind the answer as well: for what to do next.
+                      progress: Report | None = None, known: Sequence[Fit] = ()) -> Answered:
+    """Diagnose, and return the sets and fits as well: for what to do next.
 
-    None where the balances judge, or the piston hardly moves.  See :func:`diagnose`.
+    The recordings are one experiment: of dry friction a filter is asked as of a single one, and
+    begins with the models that are ``known`` from a part of it.  See :func:`diagnose`.
     """
     with computing(*(recording.source for recording in recordings)):
         return _diagnosed(recordings, settings, None, progress or (lambda text, share: None),
-                          None, (), ())
+                          None, (), (), known)
 
 
 def _diagnosed(recordings: list[Recording], settings: Settings, held_out: Recording | None,
                say: Report, hypothesis: Hypothesis | None, without: tuple[str, ...],
-               vary: tuple[str, ...]) -> tuple[Diagnosis, Naming | None]:
+               vary: tuple[str, ...], known: Sequence[Fit] | None = None) -> Answered:
     if by_balances(recordings, settings):
         say("least squares on the balances", 0.1)
-        return answered(recordings, settings, Asked(held_out, hypothesis, without, vary)), None
+        return Answered(answered(recordings, settings, Asked(
+            held_out, hypothesis, without, vary)), None, False)
     started = time.perf_counter()
     say("least squares on the balances", 0.02)
     first = first_answer(recordings, settings, Asked(held_out, None, without, vary))
     far = hypothesis is None and far_from_config(first)
-    if far and first.machine is not None:  # several say more together than a filter of one law can
-        return by_first(first, started), None
+    # Several say more together than a filter of one law can.
+    if far and first.machine is not None and known is None:
+        return Answered(by_first(first, started), None, False)
     # What least squares say stands where no set of laws brings a filter near the recording.
     stands = hypothesis is None and first is not None and (far or not force_is_closed(first))
     held, decision = resolved(recordings, settings)
     end = searched(
         lambda under: at_its_angle(experiment_of(recordings, under, held_out is None, without)),
         held, decision, stands,
-        lambda experiment, may_end: begun_in(experiment, say, first, may_end),
+        lambda experiment, may_end: begun_in(experiment, say, first, may_end, known or ()),
         lambda search: name_effects(search, lambda text, share: say(text, 0.85 * share)))
     experiment, decision, named = end.experiment, end.decision, end.named
     if not end.followed:
         if first is None or hypothesis is not None:
             raise np.linalg.LinAlgError("no filter runs on the nominal model")
-        return by_first(first, started), None
+        return Answered(by_first(first, started), None, False)
+    naming = named and named[1]
     found = diagnosed(recordings, experiment, named, held_out, started, say, hypothesis)
     # Where a filter leaves something, its names make up for laws that it does not have.
-    led_astray = found.verdict == "mismatch" and not (named and follows(named[1]))
+    led_astray = found.verdict == "mismatch" and not (naming and follows(naming))
     judges = recordings if held_out is None else [held_out]
     if far and (led_astray or explains_more(first, found, judges, experiment.settings)):
-        return by_first(first, started), None
+        return Answered(by_first(first, started), naming, False)
     apart = () if hypothesis is not None or first is None else contradicted(first, found)
     if apart and not explains_more(found, first, judges, experiment.settings):
-        return by_first(replace(first, gates=(*first.gates, *apart)), started), None
+        return Answered(by_first(replace(first, gates=(*first.gates, *apart)), started), naming,
+                        False)
     # Innovations of another form than the config's laws are no mismatch of this machine, and no
     # balance is theirs.
     unanswered = found.verdict == "unexplained" and not found.learned
     if unanswered and (far or (hypothesis is None and first is not None and (
             first.verdict != "mismatch" and not force_is_closed(first) and named
             and lack_of(named[0], named[1].after) > experiment.policy.lacking))):
-        return by_first(first, started), None
+        return Answered(by_first(first, started), naming, False)
     decided = decision is not None and decision.decided
-    return replace(found, machine=None if first is None else first.machine,
-                   policy=experiment.policy.to_dict(),
-                   channels=decision.findings if decided else (),
-                   command_hold=(experiment.settings if decided else settings).command_hold,
-                   wall_s=time.perf_counter() - started), named and named[1]
+    return Answered(replace(
+        found, machine=None if first is None else first.machine,
+        policy=experiment.policy.to_dict(), channels=decision.findings if decided else (),
+        command_hold=(experiment.settings if decided else settings).command_hold,
+        wall_s=time.perf_counter() - started), naming, True)
 
 
 def by_first(first: Diagnosis, started: float) -> Diagnosis:
@@ -246,19 +265,20 @@ def follows(naming: Naming) -> bool:
 
 
 def begun_in(experiment: Experiment, say: Report, first: Diagnosis | None = None,
-             may_end: bool = False) -> tuple[Experiment, Search] | None:
+             may_end: bool = False, known: Sequence[Fit] = ()
+             ) -> tuple[Experiment, Search] | None:
     """Begin a search in the most informative windows; None where the piston hardly moves.
 
     Parameters
     ----------
     first : what the balances answer.
-    may_end : see :class:`select.Search`.
+    may_end, known : see :class:`select.Search` and :func:`select.begun`.
     """
     if experiment.ranges.position < TRAVEL * experiment.noise[0]:
         return None
     windows = informative(experiment)
     return windows, begun(windows, lambda text, share: say(text, 0.85 * share),
-                          view_of(first), may_end)
+                          view_of(first), may_end, known)
 
 
 def view_of(first: Diagnosis | None) -> FirstView | None:

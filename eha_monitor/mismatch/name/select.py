@@ -1,6 +1,6 @@
 """Joint selection: linearise, rank every set, refit the best, linearise there again."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -174,14 +174,14 @@ class Search:
             fit = settled(self.experiment, with_rig(self.experiment, fit))
             self.refits.add(self.experiment, frozenset(fit.named), fit)
 
-    def going_on_from(self, found: "Search") -> None:
-        """Take over what a sketch has left in the running, fitted to these samples."""
+    def going_on_from(self, found: Sequence[Fit]) -> None:
+        """Fit models of other samples to these, the best first, and look no wider if one is."""
         refits, experiment = self.refits, self.experiment
-        for names in list(filter(None, within_reach(found.refits)))[:FINALISTS]:
+        for fit in found[:FINALISTS]:
             worth = max(fit.log_likelihood for fit in refits.fits.values()) - CLOSE
-            refits.add(experiment, names, settled(
-                experiment, with_unknowns(experiment, found.refits.fits[names]), worth=worth))
-        if refits.best():
+            refits.add(experiment, frozenset(fit.named), settled(
+                experiment, with_unknowns(experiment, fit), worth=worth))
+        if refits.best() and lack_of(experiment, self.found) <= experiment.policy.lacking:
             self.widely, self.done[frozenset()] = False, refits.evidence[frozenset()]
 
 
@@ -268,7 +268,8 @@ def strayed(view: Linearised, refits: Refits) -> bool:
 
 
 def begun(experiment: Experiment, say=lambda text, share: None,
-          first_view: FirstView | None = None, may_end: bool = False) -> Search:
+          first_view: FirstView | None = None, may_end: bool = False,
+          known: Sequence[Fit] = ()) -> Search:
     """Begin to find the set of effects and wrong numbers of the rig that a recording supports.
 
     The search comes back after its first pass, judged by the gates.
@@ -281,6 +282,7 @@ def begun(experiment: Experiment, say=lambda text, share: None,
     first_view : what least squares name: a set that is fitted from their numbers where all that
         was found lacks something.
     may_end : see :class:`Search`.
+    known : models with names that were found on other recordings of the same rig, the best first.
 
     Raises
     ------
@@ -295,7 +297,8 @@ def begun(experiment: Experiment, say=lambda text, share: None,
     search = Search.at(experiment, start, view=first_view, may_end=may_end, bare=first)
     if not search.refits.evidence:
         raise np.linalg.LinAlgError("the nominal model's evidence is singular")
-    sketch = sketch_of(experiment, start)
+    search.going_on_from(known)
+    sketch = sketch_of(experiment, start) if search.widely else None
     if sketch is not None:
         say("searching a third of the samples", 0.1)
         found = explored(
@@ -303,7 +306,8 @@ def begun(experiment: Experiment, say=lambda text, share: None,
         if may_end and lack_of(sketch, found.found) > experiment.policy.lacking:
             raise Unfollowed
         caught_up(sketch, found.refits)
-        search.going_on_from(found)
+        search.going_on_from([found.refits.fits[names] for names in within_reach(found.refits)
+                              if names])
     gated(experiment, explored(search, say).refits)
     return search
 
