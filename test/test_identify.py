@@ -161,11 +161,16 @@ def test_a_set_that_adds_what_no_data_ask_for_is_no_rival():
     law = frozenset({"stribeck_friction"})
     assert within(one, law) and within(one, more) and not within(one, other)
     weights = {one: 0.6, more: 0.003, law: 0.3, other: 0.09, frozenset(): 1e-9}
-    found = standing(replace(NOTHING, weights=weights))
+    tried = tuple((names, None, 0.0) for names in (one, other))
+    found = standing(replace(NOTHING, weights=weights, tried=tried))
     assert next(iter(found)) == one and found[one] == pytest.approx(0.903)
     assert found[other] == 0.09 and law not in found
     asked = standing(replace(NOTHING, weights=weights | {more: 0.2}))
     assert asked[more] == 0.2  # the data ask for it
+    # By the linear guess another law of the family, beside anything, is as good: the same claim.
+    guessed = frozenset({"pressure_friction", "rig.leakage"})
+    found = standing(replace(NOTHING, weights=weights | {guessed: 0.05}, tried=tried))
+    assert guessed not in found and found[one] == pytest.approx(0.953)
 
 
 NOTHING = Naming(None, None, None)

@@ -99,15 +99,21 @@ def standing(naming: Naming) -> dict[Names, float]:
     A set that only adds to another, and that the data give no more than its prior, is no rival
     of it: no recording excludes an effect of size zero, or a Stribeck drop of none beside Coulomb
     friction.  Its probability is the other's.  Nor is a set in which a number of the rig stands
-    for the effect that has the same equation.
+    for the effect that has the same equation.  Nor one that nobody fitted, in which another law of
+    a family stands for the best set's: that is one claim, as in the diagnosis.
     """
     same: dict[Names, list[Names]] = {}
     for names in naming.weights:
         same.setdefault(frozenset(map(TWINS.get, names, names)), []).append(names)
     found = {ties.best(group, naming.weights.get, sorted): sum(map(naming.weights.get, group))
              for group in same.values()}
+    best, fitted = ties.best(found, found.get, sorted), {names for names, *_ in naming.tried}
     for names in sorted(found, key=lambda names: (-size(names), sorted(names))):
         if not names or not all_named(names):
+            continue
+        if not best <= names and names not in fitted and all(
+                one in names or names & candidate(one).kin for one in best):
+            found[best] += found.pop(names)
             continue
         less = [some for some in found if some != names and within(some, names)
                 and found[names] <= found[some] * np.exp(
