@@ -13,6 +13,7 @@ from eha_monitor.mismatch.data.experiment import experiment_of
 from eha_monitor.mismatch.diagnose import (
     contradicted,
     diagnose,
+    diagnose_and_name,
     explains_more,
     is_answer,
     verdict_of,
@@ -86,6 +87,20 @@ def test_coulomb_friction_is_named_and_b_is_freed_of_it(rubbing):
     assert found.signals["position"].after_rms < found.signals["position"].before_rms
     assert set(found.config_effects) == {first.name}
     assert first.name not in {one.name for one in found.considered}
+
+
+def test_a_second_motion_of_a_rig_with_dry_friction_begins_with_what_the_first_has_found():
+    """What plans the next motion needs the filter's sets, also where least squares know as much."""
+    case = case_of("coulomb_friction", "drive_lag")
+    (first, settings), (second, _) = (recorded(replace(case, seed=seed)) for seed in (3, 4))
+    one = diagnose_and_name([first], settings)
+    known = [fit for names, fit, _ in one.naming.tried if names]
+    both = diagnose_and_name([first, second], settings, known=known)
+    assert one.by_filter and both.by_filter
+    for answer in (one, both):
+        names = {effect.name for effect in answer.diagnosis.effects}
+        assert "drive_lag" in names and len(names) == 2
+    assert len(both.naming.experiment.stretches) == 2
 
 
 def test_naming_a_force_leaves_the_bulk_modulus_as_it_is(rubbing):
