@@ -90,7 +90,7 @@ def test_coulomb_friction_is_named_and_b_is_freed_of_it(rubbing):
 
 
 def test_a_second_motion_of_a_rig_with_dry_friction_begins_with_what_the_first_has_found():
-    """What plans the next motion needs the filter's sets, also where least squares know as much."""
+    """What plans the next motion are the sets of a filter, also where least squares answer."""
     case = case_of("coulomb_friction", "drive_lag")
     (first, settings), (second, _) = (recorded(replace(case, seed=seed)) for seed in (3, 4))
     one = diagnose_and_name([first], settings)

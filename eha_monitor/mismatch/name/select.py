@@ -62,7 +62,6 @@ MOST_GOING = 2  # of these
 LOOKS = 3  # handfuls that are refitted from one linearisation
 WITHIN_REACH, FINALISTS = 20.0, 3  # log units; sets that are fitted to the end
 BENT = 0.2  # of the logarithm of B or beta_e
-MOST_LOST = 10.0  # times what can be won: a guess that loses more is none
 CLOSE = 300.0  # log units: within them a set is a rival that is fitted to the end
 LADDER = (1.0, 4.0, 16.0, 64.0, 256.0)  # times an effect's start
 ROUNDS = 8
@@ -175,13 +174,13 @@ class Search:
             self.refits.add(self.experiment, frozenset(fit.named), fit)
 
     def going_on_from(self, found: Sequence[Fit]) -> None:
-        """Fit models of other samples to these, the best first, and look no wider if one is."""
+        """Fit models of other samples to these, the best first; look no wider if one is better."""
         refits, experiment = self.refits, self.experiment
         for fit in found[:FINALISTS]:
             worth = max(fit.log_likelihood for fit in refits.fits.values()) - CLOSE
             refits.add(experiment, frozenset(fit.named), settled(
                 experiment, with_unknowns(experiment, fit), worth=worth))
-        if refits.best() and lack_of(experiment, self.found) <= experiment.policy.lacking:
+        if refits.best():
             self.widely, self.done[frozenset()] = False, refits.evidence[frozenset()]
 
 
@@ -212,15 +211,9 @@ def refit(experiment: Experiment, view: Linearised, chosen: list[Ranked], refits
     def entered(one: Ranked) -> Fit:
         return entered_at_best(experiment, view.fit, view.what, one)
 
-    # What a guess loses at first it must win back, and there is no more to win than is lacking.
-    best = refits.fits[refits.best()]
-    to_win = CLOSE + max(experiment.n * lack_of(experiment, best), 0.0)
-    least = best.log_likelihood - MOST_LOST * to_win
-
     def quick(one: Ranked) -> Fit:
-        starts = [entered(each) for each in from_each_start(view.what, one)]
-        made = ties.best([looked(experiment, start, view.slopes) if start.log_likelihood > least
-                          else start for start in starts],
+        made = ties.best([looked(experiment, entered(each), view.slopes)
+                          for each in from_each_start(view.what, one)],
                          lambda fit: fit.log_likelihood, within=ties.GUESS)
         if not np.isfinite(made.log_likelihood) or made.unknowns == view.fit.unknowns:
             return made
@@ -298,6 +291,8 @@ def begun(experiment: Experiment, say=lambda text, share: None,
     if not search.refits.evidence:
         raise np.linalg.LinAlgError("the nominal model's evidence is singular")
     search.going_on_from(known)
+    if not search.widely and lack_of(experiment, search.found) > experiment.policy.lacking:
+        search.widely, search.done = True, {}  # what was known is not this
     sketch = sketch_of(experiment, start) if search.widely else None
     if sketch is not None:
         say("searching a third of the samples", 0.1)
