@@ -389,8 +389,8 @@ def ranges_of(columns: list[dict], settings: Settings, dt: float) -> Ranges:
     rig = settings.rig
     area = rig.area_1 or 1.0
 
-    def pooled(make):
-        found = [values[np.isfinite(values)] for values in map(make, columns)
+    def pooled(make, of=None):
+        found = [values[np.isfinite(values)] for values in map(make, of or columns)
                  if values is not None]
         return np.concatenate(found) if found else np.zeros(1)
 
@@ -399,6 +399,7 @@ def ranges_of(columns: list[dict], settings: Settings, dt: float) -> Ranges:
 
     reach = max(1, round(0.01 / dt))
     # The largest of many noisy readings is none of the rig's.
+    read = columns
     columns = [c | {name: averaged(c[name], reach) for name in c.keys() & {"p1", "p2", "omega"}}
                for c in columns]
     x = pooled(lambda c: c.get("x"))
@@ -409,8 +410,6 @@ def ranges_of(columns: list[dict], settings: Settings, dt: float) -> Ranges:
     low = (pooled(lambda c: np.minimum(c["p1"], c["p2"])) if both
            else np.array([rig.charge_pressure]))
     mean = pooled(lambda c: 0.5 * (c["p1"] + c["p2"])) if both else low
-    force = np.abs(pooled(lambda c: force_of(rig, c))) if (
-        both or all("force" in c for c in columns)) else rig.mass * a
     gain = rig.position_gain
 
     def speed(c):
@@ -418,6 +417,10 @@ def ranges_of(columns: list[dict], settings: Settings, dt: float) -> Ranges:
             return c["omega"]
         return gain * (c["x_d"] - c["x"]) if gain and "x_d" in c else None
 
+    # Where pressures drive the model, their noise is part of the force that it is driven by.
+    forced = all(speed(c) is None for c in columns)
+    force = np.abs(pooled(lambda c: force_of(rig, c), read if forced else columns)) if (
+        both or all("force" in c for c in columns)) else rig.mass * a
     omega = np.abs(pooled(speed))
     turn = np.abs(pooled(lambda c: slope(speed(c), 1)))
 
