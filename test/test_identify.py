@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,7 +15,14 @@ from rig_tools import settings as rig_settings
 
 from eha_monitor.cli import main
 from eha_monitor.errors import InputError
-from eha_monitor.identify.experiment import NEEDED, SimulatedRig, Watch, bounds_of
+from eha_monitor.identify.experiment import (
+    NEEDED,
+    Round,
+    SimulatedRig,
+    Watch,
+    bounds_of,
+    by_least_squares,
+)
 from eha_monitor.identify.plan import Planned, Planner, most_decisive, standing, within
 from eha_monitor.mismatch.advise.motions import Motion, demanded
 from eha_monitor.mismatch.data.experiment import experiment_of
@@ -41,6 +49,19 @@ def test_a_planned_rest_is_one_whatever_the_sensors_show(effects):
     rest = demanded(experiment, fit, "rest", np.full(2000, 0.01))
     shown = free_run(rest, rest.stretches[0], fit)
     assert np.ptp(shown[:, 0]) < 1e-9 and np.ptp(shown[:, 2]) < 1.0 and np.ptp(shown[:, 3]) < 1.0
+
+
+def test_where_no_set_follows_another_motion_is_run_and_least_squares_decide_nothing():
+    settings = load_settings(CONFIG)
+    planner = Planner(settings, bounds_of(settings, CONFIG), CONFIG)
+    first = planner.first(0.0)
+    other = planner.best(planner.blank, 0.0, 10.0, [first.motion.name])
+    assert other.motion.name != first.motion.name and len(other.x_d) < 10_000
+    assert planner.best(planner.blank, 0.0, 0.1) is None
+    effect = SimpleNamespace(name="coulomb_friction", probability=0.95)
+    found = SimpleNamespace(verdict="mismatch", effects=(effect,), probability={}, advice=())
+    last = by_least_squares(Round(first, None, 3.0, found))
+    assert (last.names, last.probability, last.end) == ({"coulomb_friction"}, 0.95, "balances")
 
 
 def test_the_motion_that_decides_first_is_run():

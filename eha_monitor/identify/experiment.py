@@ -373,6 +373,7 @@ def identify(rig: Rig, planner: Planner,
     planned: Planned | None = planner.first(rig.position())
     recordings: list[Recording] = []
     known: list[Fit] = []
+    names: list[str] = []
     seconds, number = 0.0, 0
     while planned is not None:
         number += 1
@@ -384,6 +385,7 @@ def identify(rig: Rig, planner: Planner,
             return
         check(ran.recording)
         recordings.append(ran.recording)
+        names.append(planned.motion.name)
         answer = diagnose_and_name(recordings, planner.settings, say, known)
         if answer.diagnosis.verdict == "insufficient_data":
             raise InputError(f"{ran.recording.source}: {answer.diagnosis.message}; expected a "
@@ -392,8 +394,11 @@ def identify(rig: Rig, planner: Planner,
         if answer.naming is not None:
             known = [fit for names, fit, _ in answer.naming.tried if names]
             one = following(planner, answer.naming, one, rig.position())
+        else:  # no set explains it yet: another motion may show what is missing
+            one = replace(one, following=planner.best(
+                planner.blank, rig.position(), planner.bounds.total_time - seconds, names))
         if one.following is None and not answer.by_filter:
-            one = by_least_squares(one, planner.wanted)
+            one = by_least_squares(one)
         planned = one.following
         yield one
 
@@ -402,7 +407,7 @@ def judged(planned: Planned, ran: Ran, seconds: float, answer: Answered) -> Roun
     """Return what is known after a motion.
 
     Nothing stands beside a verdict that something without a name is there, or where least squares
-    on the balances contradict a filter.
+    on the balances answer instead of a filter.
     """
     sets = standing(answer.naming) if answer.naming else {}
     stands = answer.by_filter and answer.diagnosis.verdict != "unexplained"
@@ -412,17 +417,17 @@ def judged(planned: Planned, ran: Ran, seconds: float, answer: Answered) -> Roun
                  {names: sets[names] for names in order[1:] if sets[names] >= 0.01})
 
 
-def by_least_squares(one: Round, wanted: float) -> Round:
+def by_least_squares(one: Round) -> Round:
     """Return the last round where least squares on the balances answer: they plan no motion.
 
-    A set is as probable as its least probable effect, or as that nothing is missing.
+    A set is as probable as its least probable effect, or as that nothing is missing.  It is never
+    decided: a filter sees more there, of sensors and drive as well, and no set explains it.
     """
     found = one.diagnosis
     sure = {"mismatch": min((effect.probability for effect in found.effects), default=0.0),
             "consistent": found.probability.get("consistent", 0.0)}.get(found.verdict, 0.0)
     return replace(one, names=frozenset(effect.name for effect in found.effects),
-                   probability=sure, rivals={}, end=DECIDED if sure >= wanted else BALANCES,
-                   would=found.advice)
+                   probability=sure, rivals={}, end=BALANCES, would=found.advice)
 
 
 def following(planner: Planner, naming: Naming, now: Round, position: float) -> Round:
@@ -477,6 +482,8 @@ def round_words(one: Round, count: int, dt: float) -> str:
         return f"{head}aborted: {one.ran.aborted}; the position demanded last is held"
     if one.diagnosis is not None and one.diagnosis.verdict == "unexplained":
         head += "something that is not in the catalogue"
+    elif not one.probability > 0.0:
+        head += "no set of effects explains all that the filter sees yet"
     else:
         head += f"{set_words(one.names)}, {percent(one.probability)}"
     if one.rivals:
@@ -487,8 +494,9 @@ def round_words(one: Round, count: int, dt: float) -> str:
     if one.end == TIME:
         return f"{head}. The time is up: no motion fits into what is left of it"
     if one.end == BALANCES:
-        return (f"{head}. This is the answer of least squares on the balances, which plan no "
-                f"motion{''.join(f'; {line}' for line in one.would)}")
+        return (f"{head}. This is the answer of least squares on the balances: no set of effects "
+                "explains all that the filter sees, so that no motion can be planned to decide "
+                f"between them{''.join(f'; {line}' for line in one.would)}")
     if one.end == INSEPARABLE:
         more = f"; what would: {'; '.join(one.would)}" if one.would else ""
         return f"{head}. No motion within the limits distinguishes what is left{more}"

@@ -1,7 +1,8 @@
 """The next motion: what it is expected to tell between the structures still in the running."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -341,9 +342,8 @@ class Planner:
             raise InputError(f"{self.source}: experiment: the piston stands at x = {position:g} "
                              f"m, expected between lower, {b.lower:g} m, and upper, "
                              f"{b.upper:g} m")
-        experiment, structures = first_look(self.settings, b)
-        found = self.best(Contest(experiment, structures, recorded=False), position,
-                          b.total_time)
+        experiment = self.blank.experiment
+        found = self.best(self.blank, position, b.total_time)
         if found is None:
             raise InputError(f"{self.source}: experiment: the limits allow no motion of at least "
                              f"{100 * SMALLEST:.0f} % of the travel, and of "
@@ -352,10 +352,21 @@ class Planner:
                              f"{b.motion_time:g} s from x = {position:g} m, expected wider ones")
         return found
 
-    def best(self, contest: Contest, position: float, left: float) -> Planned | None:
-        """Return the motion to run next; None where the limits allow none in ``left`` s."""
+    @cached_property
+    def blank(self) -> Contest:
+        """What there may be before anything is recorded."""
+        return Contest(*first_look(self.settings, self.bounds), recorded=False)
+
+    def best(self, contest: Contest, position: float, left: float, ran: Collection[str] = ()
+             ) -> Planned | None:
+        """Return the motion to run next; None where the limits allow none in ``left`` s.
+
+        ``ran`` : names of motions that are not run again.
+        """
         found: list[Planned] = []
         for motion in candidates(self.limits):
+            if motion.name in ran:
+                continue
             one = self.within(contest, motion, position)
             if one is None or len(one.x_d) * contest.experiment.dt > left:
                 continue
