@@ -12,7 +12,7 @@ from rig_tools import MULTISINE, TRIANGLE, A, settings, simulated, with_channels
 from eha_monitor.concealed.cases import Case
 from eha_monitor.concealed.generate import nominal_config, recording_of
 from eha_monitor.errors import InputError
-from eha_monitor.mismatch.data.experiment import BURN_IN, experiment_of, present
+from eha_monitor.mismatch.data.experiment import BURN_IN, experiment_of, present, stretches_of
 from eha_monitor.mismatch.data.inputs import CLOSED, FORCED, OPEN, course_of, cubics
 from eha_monitor.physics import signals as s
 from eha_monitor.recordings.grid import filled
@@ -265,3 +265,10 @@ def test_a_triangle_s_corners_are_corners_of_the_input():
     stretch, = experiment_of([recording], recording_settings()).stretches
     assert np.abs(stretch.u[:, 2:]).max() < 1e-9
     assert value(stretch.u, 1.0)[:-2] == pytest.approx(recording.get("x_d")[1:-1], abs=1e-12)
+
+
+def test_a_window_without_its_demand_holds_no_stretch(recording):
+    """Of a long recording whose demand is missing for a whole window the others are taken."""
+    gone = with_channels(without(recording, "omega"), x_d=np.full(len(recording), np.nan))
+    held = settings(command_hold="sampled")
+    assert stretches_of(gone, gone.channels, held, OPEN, {}, True) == []

@@ -33,6 +33,7 @@ from eha_monitor.settings.rig import Rig
 
 BAND = 5.0  # Hz: pass band of every balance; wider ones are for motions beyond it
 MOTION = 4.0  # bands: pass band of the motion
+STEPS = 8  # of the effects' memory in a sample: a line is faster than the grid
 GRID, COARSE = 32, 4  # points in a period of the band; each so-many-th of them is compared
 BRIDGED = 0.1  # of a period of the motion's band: a gap that a straight line bridges
 APART = 0.5  # periods of the band over which its low-pass mixes a sample with its neighbours
@@ -57,7 +58,7 @@ class Course:
     source : file it came from.
     band : pass band of its balances, Hz.
     dt : spacing of the grid, s.
-    steps : of the effects' memory in it, eight a sample: a line is faster than the grid.
+    steps : of the effects' memory in it.
     x, v, a : position, velocity, acceleration.
     force : A1 p1 - A2 p2, or the measured force.
     p1, p2, rate_1, rate_2 : pressures and their rates; None where not recorded.
@@ -300,7 +301,7 @@ def course_of(recording: Recording, settings: Settings, band: float = BAND) -> C
     wanted = None if told is None else _followed(told, circuit, dt)
     pressures = [p[good] for p in (p1, p2) if p is not None]
     found = Course(
-        recording.source, band, step, 8 * every, x, v, a, fine(force), p1, p2, rate_1, rate_2,
+        recording.source, band, step, STEPS * every, x, v, a, fine(force), p1, p2, rate_1, rate_2,
         omega, None if wanted is None else fine(wanted), None if demand is None else fine(demand),
         COMMANDED if "omega_d" in whole else MEASURED, {}, _sensors(noise, cleaned),
         0.5 * dt, passed(dt, band), bool(pressures) and min(
@@ -445,8 +446,10 @@ def _ahead(values: np.ndarray, lead: float, dt: float) -> np.ndarray:
 def _told(measured: dict[str, np.ndarray], righted: dict[str, np.ndarray], rig: Rig,
           w: np.ndarray, dt: float) -> np.ndarray | None:
     """Return the speed that the drive is told, (n,) rad/s; None where nothing says."""
-    if "omega" not in righted or "omega_d" in righted:
-        return righted.get("omega_d") if "omega" in righted else None
+    if "omega" not in righted:
+        return None
+    if "omega_d" in righted:
+        return righted["omega_d"]
     if "x_d" not in righted or rig.position_gain is None:
         return None
     read, lead = (measured["x"], w[s.POSITION_DELAY]) if w[s.IN_LOOP] else (righted["x"], 0.0)

@@ -373,7 +373,7 @@ def identify(rig: Rig, planner: Planner,
     planned: Planned | None = planner.first(rig.position())
     recordings: list[Recording] = []
     known: list[Fit] = []
-    names: list[str] = []
+    motions: list[str] = []
     seconds, number = 0.0, 0
     while planned is not None:
         number += 1
@@ -385,7 +385,7 @@ def identify(rig: Rig, planner: Planner,
             return
         check(ran.recording)
         recordings.append(ran.recording)
-        names.append(planned.motion.name)
+        motions.append(planned.motion.name)
         answer = diagnose_and_name(recordings, planner.settings, say, known)
         if answer.diagnosis.verdict == "insufficient_data":
             raise InputError(f"{ran.recording.source}: {answer.diagnosis.message}; expected a "
@@ -396,7 +396,7 @@ def identify(rig: Rig, planner: Planner,
             one = following(planner, answer.naming, one, rig.position())
         else:  # no set explains it yet: another motion may show what is missing
             one = replace(one, following=planner.best(
-                planner.blank, rig.position(), planner.bounds.total_time - seconds, names))
+                planner.blank, rig.position(), planner.bounds.total_time - seconds, motions))
         if one.following is None and not answer.by_filter:
             one = by_least_squares(one)
         planned = one.following

@@ -315,13 +315,14 @@ def stretches_of(recording: Recording, channels: dict, settings: Settings, mode:
                  levels: dict, hold_out: bool, begun: float = 0.0) -> list[Stretch]:
     """Cut a recording where its input is missing for long; it begins at ``begun`` s."""
     n, dt, rig = len(recording), recording.sample_time, settings.rig
+    looped = rig.position_gain is not None and "x_d" in channels  # also where none is in a window
     nothing = np.full(n, np.nan)
     if mode == CLOSED and wants_speed(recording):
         # omega = K_pos (x_d - x) with a K_pos so small that a metre more or less does not count.
         u, sigma, held = channels["omega_d"] / PULL + channels["x"], 0.0, False
     elif mode == CLOSED:
         u, sigma, held = channels["x_d"], 0.0, False
-    elif mode == OPEN and by_loop(recording, rig):
+    elif mode == OPEN and looped:
         u, sigma = rig.position_gain * (channels["x_d"] - channels["x"]), 0.0
         held = is_held(mode, settings)
     elif mode == OPEN:
@@ -329,7 +330,7 @@ def stretches_of(recording: Recording, channels: dict, settings: Settings, mode:
     else:
         u, sigma, held = force_of(rig, channels), 0.0, False
     z = np.column_stack([channels.get(name, nothing) for name in OUTPUTS])
-    if mode == OPEN and not (held and by_loop(recording, rig)):
+    if mode == OPEN and not (held and looped):
         z[:, 4] = np.nan  # the pump speed is the input
     if mode == FORCED:
         z[:, 2:] = np.nan
