@@ -159,6 +159,12 @@ def test_any_values_give_an_estimate_or_one_line(recording, spoils, n, kept):
     assert found.model.status in ("consistent", "mismatch", "not_judged")
 
 
+def test_pressures_that_are_never_both_there_are_no_warning(recording):
+    channels = {name: values[:3].copy() for name, values in recording.channels.items()}
+    channels["p1"][1:], channels["p2"][:1] = math.inf, math.inf
+    assert estimate(Recording(1e-3, channels), settings()).parameters
+
+
 @given(spoilt, lengths, kept_channels)
 @hypothesis_settings(max_examples=30, deadline=20_000)
 def test_any_values_leave_the_live_estimator_standing(recording, spoils, n, kept):

@@ -128,7 +128,9 @@ def model_for(channels: dict[str, np.ndarray], settings: Settings) -> RigModel:
     """Return the rig's model for what a recording holds."""
     mean = None
     if "p1" in channels and "p2" in channels:
-        mean = float(np.nanmedian(0.5 * (channels["p1"] + channels["p2"])))
+        both = 0.5 * (channels["p1"] + channels["p2"])
+        if np.isfinite(both).any():  # they need not be there at the same time
+            mean = float(np.nanmedian(both))
     model = RigModel.of(settings, mean, "x_d" in channels)
     if measures_leakage(settings.rig, channels):
         model = replace(model, leak=0.0)
