@@ -18,6 +18,7 @@ from rig_tools import (
 )
 
 from eha_monitor.estimation.pipeline import estimate
+from eha_monitor.live.checks import APART_S, Turns
 from eha_monitor.live.diagnosing import Candidate
 from eha_monitor.live.estimator import LiveEstimator
 
@@ -334,3 +335,25 @@ def test_an_estimator_with_another_model_catches_up_while_rows_come():
     assert np.isnan(buffer.column("omega", 4000, 5000)).all()
     assert np.isfinite(buffer.column("omega", 3900, 4000)).all()
     assert not LiveEstimator(settings()).past(0.0)
+
+
+def test_actuators_of_one_process_look_over_their_buffers_in_turn(run):
+    """Ten that began together otherwise wait for ten runs of stage two at once."""
+    now = [0.0]
+    turns = Turns(lambda: now[0])
+    streams = [Stream(**FIXED) for _ in range(3)]
+    for stream in streams:
+        stream.live = LiveEstimator(settings(**FIXED), turns)
+    channels = run.recording(0).channels
+    times = 1e-3 * np.arange(6000)
+    for start in range(0, 6000, 100):
+        now[0] = times[start]
+        for stream in streams:
+            stream.live.push_rows(times[start:start + 100], {
+                name: values[start:start + 100] for name, values in channels.items()})
+            stream.look()
+    first = [stream.told("runs with B")[0].time_s for stream in streams]
+    assert np.diff(first).min() >= APART_S - 0.1 - 1e-9  # rows come every 0.1 s
+    assert len(set(first)) == 3
+    for stream in streams:
+        assert stream.look().parameters["beta_e"].value == pytest.approx(6e8, rel=0.01)

@@ -6,6 +6,7 @@ contradict their config are looked into less and less often.
 """
 
 import math
+import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -45,6 +46,7 @@ PATIENCE_S = 2.0  # wait for stage one before stage two takes the nominal dampin
 WEAK_S = 2.0, 8.0  # while stage two knows little: does the buffer show the modulus by now?
 HOLD_S = 0.5, 16.0  # while the evidence for a hold is weak
 PLAUSIBLE_S = 2.0, 16.0
+APART_S = 0.3  # between two actuators' runs of 20 to 60 ms: rows of ten catch up meanwhile
 FIRST_S = 2.0  # of rows; 360 cuts of so much and more of right recordings gave no false word
 
 
@@ -71,6 +73,30 @@ class Backoff:
         self.looked = now
         self.wait = self.shortest if yes else min(max(2.0 * self.wait, self.shortest),
                                                   self.longest)
+
+
+class Turns:
+    """Keeps apart what takes long in several estimators that share a thread.
+
+    Actuators of one process begin together, so that without it they all look over their buffers
+    in the same tenth of a second, and rows of each wait for all.
+
+    Parameters
+    ----------
+    clock : gives seconds; the machine's time, not that of the rows.
+    """
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic):
+        self._clock = clock
+        self._until, self._owner = -math.inf, None
+
+    def free(self, estimator: object) -> bool:
+        """Tell whether an estimator may now do what can wait; alone it always may."""
+        return estimator is self._owner or self._clock() >= self._until
+
+    def took(self, estimator: object) -> None:
+        """Note that it has just done so."""
+        self._until, self._owner = self._clock() + APART_S, estimator
 
 
 class Handover:

@@ -38,7 +38,15 @@ from eha_monitor.estimation.stages import (
     engine_of,
     run_stage_two_kernel,
 )
-from eha_monitor.live.checks import JUDGE_EVERY_S, JUDGED_S, KEPT, Fit, LiveHold, LivePlausibility
+from eha_monitor.live.checks import (
+    JUDGE_EVERY_S,
+    JUDGED_S,
+    KEPT,
+    Fit,
+    LiveHold,
+    LivePlausibility,
+    Turns,
+)
 from eha_monitor.live.ingest import BATCH, BUFFER_S, WARM_UP, Columns, Gathered, Grid
 from eha_monitor.live.state import (
     Change,
@@ -65,10 +73,16 @@ MOST_CHANGES = 200  # of each stage that are kept
 
 
 class LiveEstimator:
-    """The monitor's pipeline on live rows; knows nothing of ROS."""
+    """The monitor's pipeline on live rows; knows nothing of ROS.
 
-    def __init__(self, settings: Settings):
+    Parameters
+    ----------
+    turns : shared with the other estimators of the thread, if there are any.
+    """
+
+    def __init__(self, settings: Settings, turns: Turns | None = None):
         self._given = settings
+        self._turns = turns or Turns()
         self._events: list[Event] = []
         self._now = 0.0
         self.reset("")
@@ -334,10 +348,12 @@ class LiveEstimator:
             if abs(state.r / before - 1.0) > OTHER_NOISE:
                 state.tester.judge_from(state.taken)
             state.noise_at = state.noise_at[1:] or [state.noise_at[0] + 10.0]
-        if self._no_drive is None:
+        if self._no_drive is None and self._turns.free(self):
             self._hand_over(since_start)
         self._checkpoints.keep(state, self.dt)
-        if self._plausible.due(self._now, (buffer.end - buffer.first) * self.dt):
+        if self._plausible.due(self._now, (buffer.end - buffer.first) * self.dt) and (
+                self._turns.free(self)):
+            self._turns.took(self)
             news = self._plausible.examine(
                 self._now, buffer.recording(buffer.first, buffer.end))
             if news:
@@ -432,8 +448,10 @@ class LiveEstimator:
         """Examine the rows, until they decide it, for whether the drive holds its command."""
         state, buffer = self._state, self._grid.buffer
         now = self._grid.time_of(state.taken)
-        if not self._hold.due(now) or not self._hold.examine(
-                now, buffer.recording(buffer.first, state.taken)):
+        if not self._hold.due(now):
+            return False
+        self._turns.took(self)
+        if not self._hold.examine(now, buffer.recording(buffer.first, state.taken)):
             return False
         self.settings = self._hold.settings
         self._model = model_for(buffer.channels(buffer.first, state.taken), self.settings)
@@ -445,6 +463,7 @@ class LiveEstimator:
     def _run_two_again(self) -> None:
         """Run stage two over the buffer with the present damping, and go on from there."""
         state, buffer = self._state, self._grid.buffer
+        self._turns.took(self)
         start, stop = max(buffer.first, state.clean), state.taken
         b, variance = buffer.column("b", start, stop), buffer.column("b_variance", start, stop)
         edge = max(state.piece - start, 0)  # from where the last change was first at work

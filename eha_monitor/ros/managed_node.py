@@ -4,6 +4,7 @@ import gc
 import sys
 from collections.abc import Callable
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -203,8 +204,13 @@ def run_monitor(config: Path | None, ros_args: list[str], duration: float | None
                              "diagnosis.machine of each config")
         wanted = [(settings.model_copy(update={"diagnosis": settings.diagnosis.model_copy(
             update={"machine": str(machine)})}), source) for settings, source in wanted]
+    from eha_monitor.live.checks import Turns
+    from eha_monitor.live.estimator import LiveEstimator
+
+    factory = partial(LiveEstimator, turns=Turns())
     with running.ros_session(ros_args), ExitStack() as stack:
-        nodes = [stack.enter_context(running.made("monitor", ManagedMonitor, *which))
+        nodes = [stack.enter_context(running.made("monitor", ManagedMonitor, *which,
+                                                  estimator_factory=factory))
                  for which in wanted]
         running.check_apart(nodes)
         warm_up()
