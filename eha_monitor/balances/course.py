@@ -19,7 +19,7 @@ from eha_monitor.estimation.rig_model import added_by, force_missing, force_of
 from eha_monitor.estimation.sensors import (
     noise_levels,
     quantum,
-    true_pressure,
+    undo_sensors,
     without_spikes,
 )
 from eha_monitor.indicators.laws import viscosity_factor
@@ -260,12 +260,12 @@ def course_of(recording: Recording, settings: Settings, band: float = BAND) -> C
     # A demand is no sensor: it may rest for long and jump.
     cleaned |= {name: np.where(_dead(cleaned[name], dt), np.nan, cleaned[name])
                 for name in needed}
-    missing = _gaps(~np.all([np.isfinite(cleaned[name]) for name in needed], axis=0),
-                    round(BRIDGED / (MOTION * band * dt)))
     theta, active = theta_of(rig, settings.effects)
     circuit = circuit_of(theta, active)
-    measured = {name: filled(values) for name, values in cleaned.items()}
-    whole = _righted(measured, circuit, dt, rows * dt)
+    true, noise = undo_sensors(cleaned, noise, circuit, rows * dt)
+    missing = _gaps(~np.all([np.isfinite(true[name]) for name in needed], axis=0),
+                    round(BRIDGED / (MOTION * band * dt)))
+    whole = {name: filled(values) for name, values in true.items()}
     force = force_of(rig, whole)
     away = np.zeros(len(recording), dtype=bool)
     for first, last in between_stops(whole["x"], force, dt):
@@ -297,8 +297,8 @@ def course_of(recording: Recording, settings: Settings, band: float = BAND) -> C
     moving = np.convolve(slow, np.ones(2 * near + 1), mode="same") < 0.5
     moving &= np.ptp(x[good]) > TRAVEL * noise["x"].value
     demand = whole.get("omega_d", whole.get("omega"))
-    told = _told(measured, whole, rig, circuit, dt)
-    wanted = None if told is None else _followed(told, circuit, dt)
+    asked = _speed_demand(filled(cleaned["x"]), whole, rig, circuit, dt)
+    wanted = None if asked is None else _followed(asked, circuit, dt)
     pressures = [p[good] for p in (p1, p2) if p is not None]
     found = Course(
         recording.source, band, step, STEPS * every, x, v, a, fine(force), p1, p2, rate_1, rate_2,
@@ -424,41 +424,31 @@ def _sensors(noise: dict, channels: dict[str, np.ndarray]) -> dict[str, float]:
             "omega": level.get("omega", 0.0), "force": level.get("force", 0.0)}
 
 
-def _righted(measured: dict[str, np.ndarray], w: np.ndarray, dt: float, time: np.ndarray
-             ) -> dict[str, np.ndarray]:
-    """Return channels less what the config says their sensors err by.
-
-    ``time`` is s since the recording began, (n,): of a long one only samples are here.
-    """
-    found = dict(measured)
-    found["x"] = _ahead(measured["x"], w[s.POSITION_DELAY], dt) / (1.0 + w[s.POSITION_SCALE])
-    for name in measured.keys() & {"p1", "p2"}:
-        found[name] = true_pressure(_ahead(measured[name], w[s.PRESSURE_DELAY], dt), name, w, time)
-    return found
-
-
 def _ahead(values: np.ndarray, lead: float, dt: float) -> np.ndarray:
     """Return samples (n,) from ``lead`` s later."""
     t = np.arange(len(values)) * dt
     return np.interp(t + lead, t, values)
 
 
-def _told(measured: dict[str, np.ndarray], righted: dict[str, np.ndarray], rig: Rig,
-          w: np.ndarray, dt: float) -> np.ndarray | None:
-    """Return the speed that the drive is told, (n,) rad/s; None where nothing says."""
-    if "omega" not in righted:
+def _speed_demand(shown: np.ndarray, true: dict[str, np.ndarray], rig: Rig, w: np.ndarray,
+                  dt: float) -> np.ndarray | None:
+    """Return the speed that is demanded of the drive, (n,) rad/s; None where nothing says.
+
+    ``shown`` is the position as its sensor shows it, which is what a loop in which it stands sees.
+    """
+    if "omega" not in true:
         return None
-    if "omega_d" in righted:
-        return righted["omega_d"]
-    if "x_d" not in righted or rig.position_gain is None:
+    if "omega_d" in true:
+        return true["omega_d"]
+    if "x_d" not in true or rig.position_gain is None:
         return None
-    read, lead = (measured["x"], w[s.POSITION_DELAY]) if w[s.IN_LOOP] else (righted["x"], 0.0)
-    return rig.position_gain * (righted["x_d"] - _ahead(read, lead - w[s.FEEDBACK_DELAY], dt))
+    read, lead = (shown, w[s.POSITION_DELAY]) if w[s.IN_LOOP] else (true["x"], 0.0)
+    return rig.position_gain * (true["x_d"] - _ahead(read, lead - w[s.FEEDBACK_DELAY], dt))
 
 
-def _followed(told: np.ndarray, w: np.ndarray, dt: float) -> np.ndarray:
-    """Return the speed that the config's drive makes of what it is told, (n,) rad/s."""
-    made = (1.0 + w[s.DRIVE_GAIN]) * _ahead(told, -w[s.COMMAND_DELAY], dt)
+def _followed(demand: np.ndarray, w: np.ndarray, dt: float) -> np.ndarray:
+    """Return the speed that the config's drive makes of a demand, (n,) rad/s."""
+    made = (1.0 + w[s.DRIVE_GAIN]) * _ahead(demand, -w[s.COMMAND_DELAY], dt)
     made = np.clip(made, -w[s.SPEED_LIMIT], w[s.SPEED_LIMIT])
     if w[s.DRIVE_LAG] > 0.0:
         pole = np.exp(-dt / w[s.DRIVE_LAG])
