@@ -69,6 +69,10 @@ class Children:
             self._running[name] = subprocess.Popen([sys.executable, *words], stdout=log,
                                                    stderr=log, stdin=subprocess.DEVNULL)
 
+    def ended(self, name: str) -> bool:
+        """Tell whether a child has ended."""
+        return self._running[name].poll() is not None
+
     def finish(self) -> None:
         """Wait until all have ended by themselves; raise DemoFailed if one did so badly."""
         if any(child.poll() is None for child in self._running.values()):

@@ -22,6 +22,7 @@ from eha_monitor.identify.experiment import (
     Watch,
     bounds_of,
     by_least_squares,
+    identify,
 )
 from eha_monitor.identify.plan import Planned, Planner, most_decisive, standing, within
 from eha_monitor.mismatch.advise.motions import Motion, demanded
@@ -62,6 +63,17 @@ def test_where_no_set_follows_another_motion_is_run_and_least_squares_decide_not
     found = SimpleNamespace(verdict="mismatch", effects=(effect,), probability={}, advice=())
     last = by_least_squares(Round(first, None, 3.0, found))
     assert (last.names, last.probability, last.end) == ({"coulomb_friction"}, 0.95, "balances")
+
+
+def test_a_rest_that_shows_nothing_is_followed_by_a_motion():
+    settings = load_settings(CONFIG)
+    bounds = bounds_of(settings, CONFIG)
+    turns = iter([lambda found: replace(found[0], x_d=np.zeros(2000))])
+    planner = Planner(settings, bounds, CONFIG, choose=lambda found: next(
+        turns, most_decisive)(found))
+    first, *_, last = identify(SimulatedRig(settings, bounds, 1, CONFIG), planner)
+    assert first.diagnosis.verdict == "insufficient_data" and not first.end
+    assert np.ptp(last.planned.x_d) > 0.01 and last.diagnosis.verdict == "consistent"
 
 
 def test_the_motion_that_decides_first_is_run():

@@ -25,6 +25,18 @@ def test_a_clean_triangle_names_nothing():
     check(1, 12.0)
 
 
+@pytest.mark.parametrize("seconds, rows", [(5.0, slice(None)), (24.0, slice(2000, 4000))])
+def test_a_clean_slow_sine_names_nothing(seconds, rows):
+    """In slow motion a soft fluid under a large unknown flow looks as likely, from far off."""
+    sine = {"kind": "sine", "amplitude": 0.03, "frequency": 0.3}
+    recording = simulated(sine, seconds).recording(1)
+    recording = recording.part(rows.start or 0, rows.stop or len(recording))
+    found = diagnose([recording], settings())
+    assert (found.verdict, found.effects) == ("consistent", ())
+    beta = found.after["beta_e"]
+    assert abs(beta.value - 6e8) < 3.0 * beta.stddev
+
+
 @pytest.mark.slow
 @pytest.mark.timeout(900)
 def test_clean_triangles_of_drifting_rigs_name_nothing():

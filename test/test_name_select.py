@@ -2,6 +2,7 @@
 
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -30,6 +31,7 @@ from eha_monitor.mismatch.name.rank import Member, Ranked
 from eha_monitor.mismatch.name.refit import (
     discrepancy,
     evidence_of,
+    informed,
     settled,
     unfitted,
     wide,
@@ -268,6 +270,13 @@ def test_a_number_of_the_rig_that_is_an_effects_equation_stays_at_the_configs():
     heavier = with_effect(clean.before, start, (1.0,))
     names = {f.name for f in with_rig(clean.experiment, heavier).free}
     assert "rig.mass" not in names and "rig.pump_displacement" in names
+
+
+def test_a_set_of_nothing_that_moves_asks_for_no_number_of_the_rig():
+    """A linear guess of a set may leave nothing: its places are none, and no floats."""
+    experiment = fitted("coulomb_friction", told=False).experiment
+    nothing = SimpleNamespace(amplitudes={}, gram=SimpleNamespace(products=np.ones((1, 1))))
+    assert informed(experiment, (), nothing) == []
 
 
 def test_a_model_in_which_two_parameters_are_one_is_no_model_and_no_breakdown():

@@ -389,6 +389,19 @@ def test_live_rows_that_contradict_the_config_give_no_number():
     assert not look_on(recording, config, 5.0).implausible
 
 
+@pytest.mark.parametrize("late", [["p1"], ["p1", "p2"], ["omega"]])
+def test_a_channel_that_comes_late_contradicts_nothing(late):
+    """Live, topics come one after another; this one half a second after the position."""
+    recording, config = made({"kind": "sine", "amplitude": 0.01, "frequency": 1.0}, 4.0,
+                             {"quadratic_friction": {"a_1": 3e4}})
+    channels = {name: values.copy() for name, values in recording.channels.items()}
+    for name in late:
+        channels[name][:round(0.5 / recording.sample_time)] = np.nan
+    cut = replace(recording, channels=channels)
+    assert not plausibility_of(cut, config).findings
+    assert not look_on(cut, config, 3.0).implausible
+
+
 def test_who_insists_gets_live_numbers_with_the_warning():
     recording, config = SECOND
     config = config.model_copy(update={"implausible": "warn"})

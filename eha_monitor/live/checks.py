@@ -39,6 +39,7 @@ from eha_monitor.estimation.stages import (
 )
 from eha_monitor.live.ingest import LiveBuffer
 from eha_monitor.plausibility.judge import Plausibility, plausibility_of
+from eha_monitor.plausibility.moments import common_span
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings.monitor import Settings
 
@@ -203,8 +204,14 @@ class LivePlausibility:
         self.found = Plausibility()
         self._backoff = Backoff(*PLAUSIBLE_S)
 
-    def examine(self, now: float, rows: Recording) -> str:
-        """Look at the rows at ``now`` (s); return what is new, in words."""
+    def examine(self, now: float, rows: Recording) -> str | None:
+        """Look at the rows at ``now`` (s); return what is new, in words.
+
+        None, without a look, before all channels that have come were there for ``FIRST_S``.
+        """
+        first, stop = common_span(rows.channels)
+        if (stop - first) * rows.sample_time < FIRST_S:
+            return None
         before = self.found.message
         self.found = plausibility_of(rows, self._settings)
         self._backoff.answered(now, yes=self.found.message != before)

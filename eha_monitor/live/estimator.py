@@ -353,9 +353,10 @@ class LiveEstimator:
         self._checkpoints.keep(state, self.dt)
         if self._plausible.due(self._now, (buffer.end - buffer.first) * self.dt) and (
                 self._turns.free(self)):
-            self._turns.took(self)
             news = self._plausible.examine(
                 self._now, buffer.recording(buffer.first, buffer.end))
+            if news is not None:
+                self._turns.took(self)
             if news:
                 self._report("monitor", news)
         if (state.taken - state.tester.judged_at) * self.dt >= JUDGE_EVERY_S:

@@ -79,11 +79,11 @@ def moments_of(recording: Recording) -> Moments:
               for name, values in sample_of(recording).channels.items()
               if np.isfinite(values).any()}
     start, stop = stretch_of(recording)
-    piece = {name: filled(values[start:stop].copy()) for name, values in recording.channels.items()
-             if name in levels and np.isfinite(values[start:stop]).mean() > PRESENT} \
+    piece = {name: values[start:stop] for name, values in recording.channels.items()
+             if name in levels and name != "temperature" and levels[name].span > 0
+             and np.isfinite(values[start:stop]).mean() > PRESENT} \
         if stop - start >= SHORTEST else {}
-    piece = {name: values for name, values in piece.items()
-             if name != "temperature" and levels[name].span > 0}
+    piece = {name: filled(values.copy()) for name, values in while_all_are_there(piece).items()}
     same = tuple((one, other) for i, one in enumerate(piece) for other in list(piece)[i + 1:]
                  if same_numbers(one, piece[one], other, piece[other], levels[one].span))
     place: dict[tuple[str, int], int] = {}
@@ -109,6 +109,26 @@ def moments_of(recording: Recording) -> Moments:
     share = np.array(noise) / np.where(scale > 0, scale, 1.0) ** 2
     return Moments(place, unit @ unit.T / max(table.shape[1], 1), scale, share, levels, same,
                    recording.sample_time)
+
+
+def while_all_are_there(piece: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Return the samples (n,) from where the last channel begins to where the first one ends.
+
+    Live, topics come one after another; held at its first value, a late channel would contradict
+    the others.
+    """
+    first, stop = common_span(piece)
+    return {name: values[first:stop] for name, values in piece.items()
+            } if stop - first >= SHORTEST else {}
+
+
+def common_span(channels: dict[str, np.ndarray]) -> tuple[int, int]:
+    """Return the first sample that all channels (n,) with values have, and one past the last."""
+    there = [np.flatnonzero(np.isfinite(values)) for name, values in channels.items()
+             if name != "temperature"]
+    there = [rows for rows in there if len(rows)]
+    return (max(rows[0] for rows in there), min(rows[-1] for rows in there) + 1) if there else (
+        0, 0)
 
 
 def same_numbers(one: str, values: np.ndarray, other: str, others: np.ndarray, span: float

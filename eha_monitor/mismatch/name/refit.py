@@ -246,7 +246,7 @@ def informed(experiment: Experiment, what: tuple[Column, ...], ranked: Ranked) -
 
     The others stay where the config has them: a number that nothing is known of is its prior's.
     """
-    here = np.array(sorted(ranked.amplitudes))
+    here = np.array(sorted(ranked.amplitudes), dtype=int)  # of an empty set too
     whole = ranked.gram.products[np.ix_(1 + here, 1 + here)] + np.eye(len(here))
     deviation = 1.0 / np.sqrt(np.diag(whole))
     own = {f.name: f for f in rig_free(experiment)}

@@ -206,6 +206,20 @@ def nominal_model(experiment: Experiment, within: bool = False) -> Fit:
     return settled(experiment, held)
 
 
+def needing_least(experiment: Experiment, first: Fit) -> Fit:
+    """Return the nominal model fitted to the end: from a first fit, and from the config itself.
+
+    Numbers and unknowns are fitted in turn, and a first fit begins with large unknowns.  In slow
+    motion it may end there with a soft fluid and a large unknown flow, where the config's fluid
+    needs none: a right model is found from the config without unknowns, in a few steps.
+    """
+    bare = polished(experiment, unfitted(experiment, 1.0), Slopes(experiment))
+    found = settled(experiment, first)
+    if not np.isfinite(bare.log_likelihood):
+        return found
+    return likelier(found, settled(experiment, at_level(experiment, bare)))
+
+
 def refit(experiment: Experiment, view: Linearised, chosen: list[Ranked], refits: Refits) -> None:
     """Refit sets from their linear guess: a first look at all, to the end what keeps up."""
     def entered(one: Ranked) -> Fit:
@@ -285,8 +299,10 @@ def begun(experiment: Experiment, say=lambda text, share: None,
     say("fitting the nominal model", 0.05)
     experiment, first = resolved_nominal(experiment)
     near = leans_less(experiment, first)
-    start = (settled(experiment, with_rig(experiment, first)) if near
-             else nominal_model(experiment, within=True))
+    start = settled(experiment, with_rig(experiment, first if near else needing_least(
+        experiment, first)))
+    if not near:
+        start = likelier(nominal_model(experiment, within=True), start)
     search = Search.at(experiment, start, view=first_view, may_end=may_end, bare=first)
     if not search.refits.evidence:
         raise np.linalg.LinAlgError("the nominal model's evidence is singular")
@@ -484,7 +500,7 @@ def with_pressures(experiment: Experiment, fit: Fit) -> Experiment:
 def nominal(experiment: Experiment) -> tuple[Experiment, Fit]:
     """Fit the nominal model to the end; returns the experiment with steps that resolve its B."""
     experiment, first = resolved_nominal(experiment)
-    return experiment, settled(experiment, first)
+    return experiment, needing_least(experiment, first)
 
 
 def crossed(fit: Fit, best: Fit) -> Fit | None:
