@@ -121,9 +121,11 @@ def soak(duration: float, seed: int, kinds: list[str]
     from eha_monitor.ros.topics import LATCHED
 
     seen, faults = Seen(), []
+    # No pipe: an hour's log fills it, and whoever writes on waits for a reader.
+    log = tempfile.TemporaryFile(mode="w+")
     monitor = subprocess.Popen([sys.executable, "-X", "faulthandler", "-m", "eha_monitor",
                                 "monitor"], cwd=record.ROOT, text=True, stdout=subprocess.PIPE,
-                               stderr=subprocess.PIPE)
+                               stderr=log)
     rclpy.init()
     node = rclpy.create_node("soak", namespace=NAMESPACE)
     node.create_subscription(
@@ -171,10 +173,12 @@ def soak(duration: float, seed: int, kinds: list[str]
         if status is None:
             monitor.send_signal(signal.SIGINT)
         try:
-            said, wrong = monitor.communicate(timeout=60)
+            said, _ = monitor.communicate(timeout=60)
         except subprocess.TimeoutExpired:  # it hangs: where, says faulthandler
             monitor.send_signal(signal.SIGABRT)
-            said, wrong = monitor.communicate()
+            said, _ = monitor.communicate()
+        log.seek(0)
+        wrong = log.read()
         status = monitor.returncode if status is None else status
         if "Traceback" in wrong or "most recent call first" in wrong:
             print(wrong.partition("Extension modules")[0][-4000:], file=sys.stderr)
