@@ -23,6 +23,7 @@ import threading
 import time
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TextIO
 
 import numpy as np
 import record
@@ -96,9 +97,10 @@ def main() -> int:
     options.add_argument("--kinds", nargs="+", choices=list(WORDS), default=list(WORDS))
     options.add_argument("--log", type=Path, help="write what was seen to a JSON file")
     given = options.parse_args()
-    with tempfile.TemporaryDirectory() as folder:
+    # No pipe for its log: an hour fills one, and whoever writes on waits for a reader.
+    with tempfile.TemporaryDirectory() as folder, tempfile.TemporaryFile(mode="w+") as log:
         record.own_graph(folder)
-        faults, seen, status, said = soak(given.minutes * 60.0, given.seed, given.kinds)
+        faults, seen, status, said = soak(given.minutes * 60.0, given.seed, given.kinds, log)
     if given.log:
         given.log.write_text(json.dumps({"faults": [vars(f) for f in faults], **vars(seen)}))
     print(f"{given.minutes:g} min, seed {given.seed}, load {os.getloadavg()[1]:.1f} on "
@@ -110,7 +112,7 @@ def main() -> int:
     return int(missed)
 
 
-def soak(duration: float, seed: int, kinds: list[str]
+def soak(duration: float, seed: int, kinds: list[str], log: TextIO
          ) -> tuple[list[Fault], Seen, int | None, str]:
     """Run monitor and publisher; return faults, what was seen, exit status, last words."""
     import rclpy
@@ -121,8 +123,6 @@ def soak(duration: float, seed: int, kinds: list[str]
     from eha_monitor.ros.topics import LATCHED
 
     seen, faults = Seen(), []
-    # No pipe: an hour's log fills it, and whoever writes on waits for a reader.
-    log = tempfile.TemporaryFile(mode="w+")
     monitor = subprocess.Popen([sys.executable, "-X", "faulthandler", "-m", "eha_monitor",
                                 "monitor"], cwd=record.ROOT, text=True, stdout=subprocess.PIPE,
                                stderr=log)
