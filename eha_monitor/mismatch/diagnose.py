@@ -74,7 +74,7 @@ from eha_monitor.quantity import number, quantity, share, with_uncertainty
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings.hypothesis import Hypothesis
 from eha_monitor.settings.monitor import Settings
-from eha_monitor.words import listed
+from eha_monitor.words import effect_words, listed
 
 FINER = ("With these effects in the config (diagnose --write-config FILE, then --config FILE) "
          "another diagnosis looks for what is smaller.")
@@ -200,12 +200,12 @@ def by_first(first: Diagnosis, started: float) -> Diagnosis:
 
 def explains_more(first: Diagnosis, found: Diagnosis, recordings: list[Recording],
                   settings: Settings, policy: Policy = POLICY) -> bool:
-    """Tell whether what the balances name leaves less of the force on unseen data.
+    """Tell whether the first answer leaves less of the force on unseen data than the other.
 
-    By more than ``worse`` of it, both as laws of the config and as a balance in its band: the gate
-    that an answer by a filter owes to least squares.
+    By more than ``worse`` of it, both as laws of the config and as a balance in its band, or less
+    than ``open`` of what the other leaves: the gate between a filter and least squares.
     """
-    force = first.signals.get("force")
+    force = first.signals.get("force") or found.signals.get("force")
     if force is None:
         return False
 
@@ -214,7 +214,9 @@ def explains_more(first: Diagnosis, found: Diagnosis, recordings: list[Recording
         return force_left(recordings, settings.model_copy(update={
             "effects": answer.config_effects, "rig": settings.rig.model_copy(update=numbers)}))
 
-    return left(found) - left(first) > policy.worse * force.signal_rms
+    one, other = left(first), left(found)
+    return other - one > policy.worse * force.signal_rms or (
+        one < policy.open * other)
 
 
 def contradicted(first: Diagnosis, found: Diagnosis, policy: Policy = POLICY
@@ -236,7 +238,8 @@ def contradicted(first: Diagnosis, found: Diagnosis, policy: Policy = POLICY
         a, b = theirs[symbol], mine[symbol]
         if abs(a.value - b.value) > policy.varied * np.hypot(a.stddev, b.stddev):
             gates.append(Gate("least_squares", symbol, (
-                f"the filter's {symbol} is {with_uncertainty(a.value, a.stddev, a.unit)}, that of "
+                f"with {listed([effect_words(one.name) for one in found.effects])} the filter's "
+                f"{symbol} is {with_uncertainty(a.value, a.stddev, a.unit)}, that of "
                 "least squares on the force balance "
                 f"{with_uncertainty(b.value, b.stddev, b.unit)}, and its laws leave no less of "
                 "the force on unseen data")))
