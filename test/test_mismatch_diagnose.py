@@ -304,6 +304,9 @@ def test_laws_of_two_answers_are_compared_as_they_are_written():
     assert explains_more(first, replace(first, config_effects={}), [recording], settings)
     none = replace(first, config_effects={})
     assert not explains_more(none, first, [recording], settings)
+    # Of a force that is hardly any of the whole, less than half of what the other leaves is more.
+    small = {"force": replace(first.signals["force"], signal_rms=1e6)}
+    assert explains_more(replace(first, signals=small), none, [recording], settings)
     assert not explains_more(replace(first, signals={}), none, [recording], settings)
 
 

@@ -205,7 +205,7 @@ def explains_more(first: Diagnosis, found: Diagnosis, recordings: list[Recording
     By more than ``worse`` of it, both as laws of the config and as a balance in its band, or less
     than ``open`` of what the other leaves: the gate between a filter and least squares.
     """
-    force = first.signals.get("force") or found.signals.get("force")
+    force = first.signals.get("force")
     if force is None:
         return False
 
