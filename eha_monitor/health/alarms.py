@@ -5,8 +5,8 @@ deviations.  An alarm is raised when its limit was passed for the whole of ``hol
 clears when the value itself is back inside by the relative ``hysteresis``.  A parameter that
 the motion does not excite is not judged: an alarm that was raised before is held.  A parameter
 that a model mismatch taints is judged by least squares on its balance
-(:mod:`balances.parameters`), and is not judged where these do not determine it
-(``monitor.on_mismatch``).
+(:mod:`balances.parameters`), at two looks in turn, and is not judged where these do not determine
+it (``monitor.on_mismatch``).
 """
 
 import math
@@ -60,7 +60,7 @@ class _Read:
     """A value at the reference temperature, rebased where configured; ``shown`` makes its words.
 
     ``taint`` is why it deserves doubt and ``doubt`` how far it may be off by that; ``note`` is
-    what a reader should know.
+    what a reader should know.  ``look`` tells apart the looks that gave it.
     """
 
     value: float
@@ -69,6 +69,7 @@ class _Read:
     taint: Taint | None = None
     doubt: Doubt | None = None
     note: str = ""
+    look: object = None
 
 
 class AlarmBoard:
@@ -195,7 +196,8 @@ class AlarmBoard:
         if other is None:
             return _Read(value, stddev, shown, taint, UNKNOWN)
         return _Read(value, stddev, shown, taint, note=f"by least squares on the "
-                     f"{BALANCES[symbol]} balance: {taint.reason}")
+                     f"{BALANCES[symbol]} balance: {taint.reason}",
+                     look=(other.value, other.stddev))
 
     def _judge_one(self, judge: Judge, time_s: float, estimate: ParameterEstimate | None,
                    now: _Read | None) -> bool:
@@ -216,7 +218,7 @@ class AlarmBoard:
         margin = self._confidence * now.stddev
         if now.doubt is UNKNOWN:
             judge.recall(now.taint.since_s, now.value, margin, now.doubt)
-        judge.judge(time_s, now.value, margin, now.doubt)
+        judge.judge(time_s, now.value, margin, now.doubt, now.look)
         level, not_judged = judge.verdict(time_s, now.doubt)
         held = not_judged or (judge.raised > 0 and now.doubt is not None and (
             now.doubt.trial or not judge.evident(0.0, now.doubt, now.value)))
@@ -271,7 +273,8 @@ class AlarmBoard:
                 return f"is {bad} {said}"
             return f"is {good} {said} again, but not yet by {share(judge.hysteresis)} of it"
         if judge.since[place] is not None:
-            return f"has passed {said}, not yet for {judge.hold_time:g} s"
+            again = " and at a second look" if judge.look[place] is not None else ""
+            return f"has passed {said}, not yet for {judge.hold_time:g} s{again}"
         if judge.sign * (value - limit) > 0:
             return f"is {bad} {said}, within its uncertainty"
         return f"is {good} {said}"

@@ -124,6 +124,7 @@ class Judge:
     ----------
     raised, raised_s : 0, 1 or 2: OK, WARN or ERROR; and when it rose last, s.
     since : of each limit, since when the value has passed it for certain, s.
+    look : of each limit, the look at which it had first, where looks give the value.
     within : of each limit, since when the value has been back inside it for certain, s.
     beyond : since when the value as it stands has passed the first limit, s.
     level, time_s, situation : of the alarm, and since when.
@@ -137,6 +138,7 @@ class Judge:
     raised: int = 0
     raised_s: float = -math.inf
     since: list[float | None] = field(default_factory=lambda: [None, None])
+    look: list[object] = field(default_factory=lambda: [None, None])
     within: list[float | None] = field(default_factory=lambda: [None, None])
     beyond: float | None = None
     level: Level | None = None
@@ -173,14 +175,15 @@ class Judge:
         self.since, self.within, self.beyond = [None, None], [None, None], None
 
     def judge(self, time_s: float, value: float, margin: float,
-              doubt: Doubt | None = None) -> None:
+              doubt: Doubt | None = None, look: object = None) -> None:
         """Raise or clear on one value.
 
         A limit is passed when the value, as far back as its doubt reaches, lies beyond it by
         ``margin`` (confidence times standard deviation); a level falls when the value, as far
         out as its doubt reaches, is back inside.  On trial the clocks run, and a limit that was
         passed for all of ``LONGEST_TRIAL_S`` is raised though the value goes on moving: the model
-        has been tested on it for so long.
+        has been tested on it for so long.  Where a ``look`` at some seconds gives the value, the
+        next one must have passed the limit as well: a few seconds may lack the motion.
         """
         sign, good, bad, wait = self.sign, value, value, 0.0
         if doubt is not None:
@@ -197,12 +200,14 @@ class Judge:
             back = limit is None or self._cleared(limit, bad)
             self.within[place] = _clock(self.within[place], back, time_s)
             passed = limit is not None and sign * (good - limit) > margin
+            if self.since[place] is None:
+                self.look[place] = look
             self.since[place] = _clock(self.since[place], passed, time_s)
         while self.raised and _ran(self.within[self.raised - 1], time_s, wait):
             self.raised -= 1
         for place in (0, 1):
-            if place + 1 > self.raised and _ran(self.since[place], time_s,
-                                                max(wait, self.hold_time)):
+            if place + 1 > self.raised and _ran(self.since[place], time_s, max(
+                    wait, self.hold_time)) and (look is None or look != self.look[place]):
                 self.raised, self.raised_s = place + 1, time_s
 
     def evident(self, margin: float, doubt: Doubt | None, value: float) -> bool:
