@@ -456,9 +456,13 @@ class _Beside:
                 small = small or _small(load)
         last = replace(self, held=held, free=free)
         held = last.at_best(held)
-        return JudgedBalance(one.balance, table, held, now, last.error(held), last.error(now),
-                             max(one.held), tuple(changes), complete, largest, one.size,
-                             tuple(free), small=small)
+        error, after, usual = last.error(held), last.error(now), max(one.held)
+        if changes and error > usual and not explains(error, after, usual, self.policy):
+            # What leaves most of what came is not what came.
+            small, complete = small or _small(changes[0]), error - usual <= self.policy.worse
+            changes, now, after = [], held, error
+        return JudgedBalance(one.balance, table, held, now, error, after, usual, tuple(changes),
+                             complete, largest, one.size, tuple(free), small=small)
 
 
 def _small(moved: Moved) -> Moved:
