@@ -96,8 +96,10 @@ class Equations:
 
 
 def test_every_effect_is_written_or_told():
-    assert {*EFFECTS, *CONSTANTS, *WITHOUT} == set(CATALOGUE)
-    assert set(SIZES) == set(EFFECTS)
+    assert {*EFFECTS, *CONSTANTS, *WITHOUT} == set(CATALOGUE), (
+        "exports/modelica.py: EFFECTS, CONSTANTS or WITHOUT (docs/effects.md, An entry of the "
+        "catalogue)")
+    assert set(SIZES) == set(EFFECTS), "an effect that is written needs a size in SIZES"
 
 
 @pytest.mark.parametrize("name", [*EFFECTS, "rigid_coulomb", "rigid_asymmetric"])

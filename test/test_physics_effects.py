@@ -189,9 +189,11 @@ def neutral_circuit():
 
 
 def test_catalogue_is_the_contract_s_and_each_entry_has_its_equation_here():
+    where = "docs/effects.md, An entry of the catalogue, says what else"
+    assert set(VALUES) == set(CATALOGUE), f"a new effect needs TERMS or CIRCUITS here; {where}"
     assert {name: effect.balance for name, effect in CATALOGUE.items()} == {
-        name: balance for balance, names in CONTRACT.items() for name in names.split()}
-    assert set(VALUES) == set(CATALOGUE), "a new effect needs its oracle in this file"
+        name: balance for balance, names in CONTRACT.items() for name in names.split()
+    }, f"a new effect needs its balance in CONTRACT; {where}"
     for name, values in VALUES.items():
         assert list(values) == [p.name for p in CATALOGUE[name].parameters]
 
