@@ -74,6 +74,11 @@ CASES = {
 }
 
 
+def test_each_effect_has_a_case():
+    assert {case.split(",")[0] for case in CASES} == {"none", *CATALOGUE}, (
+        "a new effect needs a case in CASES (docs/effects.md, An entry of the catalogue)")
+
+
 def recording_of(case: str, channels: tuple[str, ...] = CHANNELS, effects: dict | None = None
                  ) -> tuple[Recording, dict]:
     """Return 12 s with the effect of ``case``, or with other ``effects``, and that section."""
