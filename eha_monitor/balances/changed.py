@@ -314,6 +314,15 @@ def _in_share(moved: Moved, change: Change) -> str:
         f" ({listed(rivals, 'or')} would explain it as well)" if rivals else "")
 
 
+def _or_a_sensor(change: Change) -> str:
+    """Return which sensor's error would read like a change: a pump does not grow by wear."""
+    sensors = [effect_words(name) for name in change.indistinguishable_from
+               if name in CATALOGUE and CATALOGUE[name].balance == "sensor"]
+    if not sensors or any(name in change.statement for name in sensors):
+        return ""
+    return f" (so would an error of a sensor: {listed(sensors, 'or')})"
+
+
 def _message(verdict: str, changes: Sequence[Change], judged: Judged, runs: str,
              small: Sequence[str]) -> str:
     """Return the answer in a sentence: what changed, what did too little to matter, or nothing.
@@ -323,7 +332,7 @@ def _message(verdict: str, changes: Sequence[Change], judged: Judged, runs: str,
     small : statements of what surely differs but is too small to matter.
     """
     if changes:
-        return "; ".join(one.statement for one in changes)
+        return "; ".join(one.statement + _or_a_sensor(one) for one in changes)
     if verdict == "consistent" and small:
         return f"what differs is too small to be called a change: {'; '.join(small)}"
     if verdict == "consistent":
