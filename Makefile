@@ -39,10 +39,11 @@ export ROS_DOMAIN_ID := $(shell echo $$(( $$$$ % 90 + 10 )))
 export ROS_LOG_DIR ?= $(CURDIR)/out/ros_log
 
 .DEFAULT_GOAL := help
-.PHONY: help setup everything demo test test-machines test-generic lint bench figures reference notebook proof lock clean
+.PHONY: help setup everything demo ring test test-machines test-generic lint bench figures reference notebook proof lock clean
 
 help:
 	@echo "make demo    simulator and monitor live, a replay, two HTML reports; installs what it needs"
+	@echo "make ring    a false alarm, an experiment, a model adopted and taken back, live"
 	@echo "make test    the test suite"
 	@echo "make test-machines  what decides answers, as on other processors"
 	@echo "make setup   .venv for the commands; WITH=\"export archive\": with these extras of setup.py"
@@ -96,6 +97,9 @@ everything: $(VENV)/.all $(VENV)/.compiled
 # It compiles the rest itself, behind its first steps.
 demo: $(VENV)/.package
 	@PYTHONPATH=$(CURDIR) $(PYTHON) scripts/demo.py
+
+ring: $(VENV)/.compiled
+	@PYTHONPATH=$(CURDIR) $(PYTHON) scripts/ring.py
 
 test: export ROS_PYTHON_CHECK_FIELDS := 1
 test: everything

@@ -189,6 +189,18 @@ def test_an_effect_is_found_adopted_and_taken_back_ten_times_of_ten(graph, tmp_p
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(400)
+def test_a_false_alarm_an_experiment_and_the_way_back(tmp_path):
+    """``make ring``: monitor, simulator and ``identify`` as processes."""
+    done = subprocess.run([sys.executable, REPOSITORY / "scripts/ring.py"], cwd=tmp_path,
+                          text=True, capture_output=True, check=False, timeout=390)
+    print(done.stdout)
+    assert done.returncode == 0, done.stderr
+    for words in ("decided after", "adopted quadratic_friction", "reverted", "Done in"):
+        assert words in done.stdout
+
+
+@pytest.mark.slow
 def test_no_row_is_late_because_of_a_diagnosis(graph, tmp_path):
     """The same mismatch without and with a diagnosis, in turn: latencies, and rows lost."""
     ring = Ring(graph, tmp_path, start="service")
