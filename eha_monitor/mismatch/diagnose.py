@@ -174,7 +174,7 @@ def _diagnosed(recordings: list[Recording], settings: Settings, held_out: Record
     if far and (led_astray or explains_more(first, found, judges, experiment.settings)):
         return Answered(by_first(first, started), naming, False)
     apart = () if hypothesis is not None or first is None else contradicted(first, found)
-    if apart and not explains_more(found, first, judges, experiment.settings):
+    if apart and not defends(found, first, judges, experiment.settings):
         return Answered(by_first(replace(first, gates=(*first.gates, *apart)), started), naming,
                         False)
     # Innovations of another form than the config's laws are no mismatch of this machine, and no
@@ -200,23 +200,34 @@ def by_first(first: Diagnosis, started: float) -> Diagnosis:
 
 def explains_more(first: Diagnosis, found: Diagnosis, recordings: list[Recording],
                   settings: Settings, policy: Policy = POLICY) -> bool:
-    """Tell whether the first answer leaves less of the force on unseen data than the other.
+    """Tell whether what the balances name leaves less of the force on unseen data.
 
-    By more than ``worse`` of it, both as laws of the config and as a balance in its band, or less
-    than ``open`` of what the other leaves: the gate between a filter and least squares.
+    By more than ``worse`` of it, both as laws of the config and as a balance in its band: the gate
+    that an answer by a filter owes to least squares.
     """
     force = first.signals.get("force")
     if force is None:
         return False
+    mine, theirs = (left_of_force(one, recordings, settings) for one in (first, found))
+    return theirs - mine > policy.worse * force.signal_rms
 
-    def left(answer: Diagnosis) -> float:
-        numbers = {one.key: one.found.value for one in (*answer.rig_within, *answer.rig_data)}
-        return force_left(recordings, settings.model_copy(update={
-            "effects": answer.config_effects, "rig": settings.rig.model_copy(update=numbers)}))
 
-    one, other = left(first), left(found)
-    return other - one > policy.worse * force.signal_rms or (
-        one < policy.open * other)
+def defends(found: Diagnosis, first: Diagnosis, recordings: list[Recording], settings: Settings,
+            policy: Policy = POLICY) -> bool:
+    """Tell whether a filter's answer leaves so much less of the force that it stands as it is.
+
+    By more than ``worse`` of it, or less than ``open`` of what least squares leave: what they have
+    no law for (a sensor's curve) may be hardly any of the force, and yet move its numbers.
+    """
+    mine, theirs = (left_of_force(one, recordings, settings) for one in (found, first))
+    return mine < policy.open * theirs or explains_more(found, first, recordings, settings)
+
+
+def left_of_force(answer: Diagnosis, recordings: list[Recording], settings: Settings) -> float:
+    """Return the rms of the force that an answer's laws and numbers leave on unseen data, N."""
+    numbers = {one.key: one.found.value for one in (*answer.rig_within, *answer.rig_data)}
+    return force_left(recordings, settings.model_copy(update={
+        "effects": answer.config_effects, "rig": settings.rig.model_copy(update=numbers)}))
 
 
 def contradicted(first: Diagnosis, found: Diagnosis, policy: Policy = POLICY
