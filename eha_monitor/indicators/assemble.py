@@ -299,8 +299,8 @@ def _damping(found: Evidence, settings: Settings) -> Indicator:
         return values["B"] / _thinner(values, settings)
 
     at = (_temperature_words(found, settings).removeprefix(", at ").join(("at ", ""))
-          if found.temperature is not None else "at the oil's temperature, which is not one known "
-          "number here: record it, or set health.oil_temperature")
+          if found.temperature is not None else
+          "at an unknown temperature of the oil: record it, or set health.oil_temperature")
     return _made("damping", damping, *_with_temperature(found, settings, ("B",)), (), at, unit)
 
 
