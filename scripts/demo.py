@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import click
@@ -202,33 +203,44 @@ def diagnosed(out: Path) -> Path:
     return report.resolve()
 
 
-def main() -> int:
-    """Run the four steps; returns the exit status."""
+def play(name: str, logs: Path, steps: Callable[[], str]) -> int:
+    """Play steps, which return their last words; returns the exit status.
+
+    They have a graph of their own on this machine: nobody else's topics, and ours in nobody's
+    way.
+    """
     started = time.monotonic()
-    # A graph of our own on this machine: nobody else's topics, and ours in nobody's way.
     os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
     os.environ["ROS_DOMAIN_ID"] = str(10 + os.getpid() % 90)
-    out = Path("out")
-    logs = out / "demo"
     for number in (signal.SIGINT, signal.SIGTERM):
         # SystemExit runs every `finally` and, unlike KeyboardInterrupt, no spin() keeps it.
         signal.signal(number, lambda number, _: sys.exit(128 + number))
     try:
         logs.mkdir(parents=True, exist_ok=True)
         os.environ.setdefault("ROS_LOG_DIR", str(logs.resolve()))
+        said = steps()
+    except (DemoFailed, InputError, OSError) as problem:
+        print(f"{name} failed: {problem} (logs in {logs})", file=sys.stderr)
+        return 1
+    print(f"Done in {time.monotonic() - started:.0f} s.{said}")
+    return 0
+
+
+def main() -> int:
+    """Run the four steps; returns the exit status."""
+    out = Path("out")
+    logs = out / "demo"
+
+    def steps() -> str:
         with Children(logs) as beside:
             compiled(beside)
             live(logs)
             replayed(logs)
             beside.finish()
         report = reported(out)
-        diagnosis = diagnosed(out)
-    except (DemoFailed, InputError, OSError) as problem:
-        print(f"demo failed: {problem} (logs in {logs})", file=sys.stderr)
-        return 1
-    print(f"Done in {time.monotonic() - started:.0f} s.  Reports: {report}\n"
-          f"{'':24}{diagnosis}")
-    return 0
+        return f"  Reports: {report}\n{'':24}{diagnosed(out)}"
+
+    return play("demo", logs, steps)
 
 
 if __name__ == "__main__":

@@ -8,20 +8,17 @@ it, and takes the alarm back.  Then the throttle is gone, and the monitor says s
 All of it is real: monitor, simulator and ``identify`` are processes over DDS on loopback.
 """
 
-import os
-import signal
+import json
 import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
 
-import yaml
-from demo import Children, DemoFailed
+from demo import Children, DemoFailed, play
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
 from std_srvs.srv import Trigger
 
-from eha_monitor.errors import InputError
 from eha_monitor.health.judge import Finding
 from eha_monitor.ros import running
 from eha_monitor.ros.messages import findings_of
@@ -90,8 +87,8 @@ class Onlooker:
         self.until(f"{name} {' or '.join(words)}",
                    lambda: name in self.found and self.found[name].word in words)
 
-    def call(self, service: str) -> str:
-        """Call a Trigger service of the monitor; returns its message."""
+    def call(self, service: str) -> None:
+        """Call a Trigger service of the monitor; DemoFailed where it refuses."""
         client = self._node.create_client(Trigger, f"monitor/{service}")
         self.until(f"the service {service}", client.service_is_ready)
         answer = client.call_async(Trigger.Request())
@@ -99,7 +96,6 @@ class Onlooker:
         if not answer.result().success:
             raise DemoFailed(f"{service}: {answer.result().message}")
         self.say(f"{'called':10} {service}: {answer.result().message}")
-        return answer.result().message
 
     def probability(self) -> float:
         """Return the probability of the named effect, 0 where it is not named."""
@@ -108,7 +104,7 @@ class Onlooker:
 
 
 def written(folder: Path) -> dict[str, str]:
-    """Write the four configs; returns their paths by name."""
+    """Write the four configs, as JSON, which is YAML; returns their paths by name."""
     saved = {"monitor": {"save_folder": str(folder.resolve() / "saved")}}
     motion = {name: {"simulation": {"excitation": {"motion": work}}}
               for name, work in (("slow", WORK), ("brisk", BRISK_WORK))}
@@ -116,12 +112,12 @@ def written(folder: Path) -> dict[str, str]:
              "commanded": {"effects": THROTTLED, "simulation": {"demand": "topic"}},
              "mended": motion["brisk"]}
     for name, tree in trees.items():
-        (folder / f"{name}.yaml").write_text(yaml.safe_dump({"/**": {"ros__parameters": tree}}))
+        (folder / f"{name}.yaml").write_text(json.dumps({"/**": {"ros__parameters": tree}}))
     return {name: str(folder / f"{name}.yaml") for name in trees}
 
 
-def ring(folder: Path) -> None:
-    """Go round once."""
+def ring(folder: Path) -> str:
+    """Go round once; no last words."""
     configs = written(folder)
     with (running.ros_session([]), running.node("ring", NAMESPACE) as node,
           Children(folder) as children):
@@ -142,7 +138,7 @@ def ring(folder: Path) -> None:
                                  "--json", str(folder / "identify.json"))
                 seen.until("the end of the experiment", lambda: experiment.ended("identify"))
                 experiment.check()
-            answer = yaml.safe_load((folder / "identify.json").read_text())
+            answer = json.loads((folder / "identify.json").read_text())
             seen.say(f"{'identify':10} {answer['end']} after {answer['motion_s']:.1f} s of "
                      f"motion: {', '.join(answer['names'])}, {answer['probability']:.0%}")
             if answer["end"] != "decided":
@@ -167,25 +163,13 @@ def ring(folder: Path) -> None:
             seen.call("revert")
             seen.became("model_mismatch", "OK")
             seen.became(ALARM, "OK")
+    return ""
 
 
 def main() -> int:
     """Go round once; returns the exit status."""
-    started = time.monotonic()
-    os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
-    os.environ.setdefault("ROS_DOMAIN_ID", str(10 + os.getpid() % 90))
     folder = Path("out/ring")
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda number, _: sys.exit(128 + number))
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        os.environ.setdefault("ROS_LOG_DIR", str(folder.resolve()))
-        ring(folder)
-    except (DemoFailed, InputError, OSError) as problem:
-        print(f"ring failed: {problem} (logs in {folder})", file=sys.stderr)
-        return 1
-    print(f"Done in {time.monotonic() - started:.0f} s.")
-    return 0
+    return play("ring", folder, lambda: ring(folder))
 
 
 if __name__ == "__main__":

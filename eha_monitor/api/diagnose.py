@@ -250,8 +250,8 @@ class Diagnosis(Record, Found):
 
         Examples
         --------
-        >>> d.to_frame("values").set_index("symbol").loc["F_c", "value"].round(0)
-        np.float64(40.0)
+        >>> d.to_frame("values").set_index("symbol").loc["F_c", "value"].round(1)
+        np.float64(40.1)
         """
         return chosen(table, {
             "effects": lambda: frame_of(map(asdict, self.effects), _EFFECT, "name"),

@@ -297,7 +297,7 @@ def course_of(recording: Recording, settings: Settings, band: float = BAND) -> C
     moving = np.convolve(slow, np.ones(2 * near + 1), mode="same") < 0.5
     moving &= np.ptp(x[good]) > TRAVEL * noise["x"].value
     demand = whole.get("omega_d", whole.get("omega"))
-    asked = _speed_demand(filled(cleaned["x"]), whole, rig, circuit, dt)
+    asked = _speed_demand(cleaned["x"], whole, rig, circuit, dt)
     wanted = None if asked is None else _followed(asked, circuit, dt)
     pressures = [p[good] for p in (p1, p2) if p is not None]
     found = Course(
@@ -434,7 +434,8 @@ def _speed_demand(shown: np.ndarray, true: dict[str, np.ndarray], rig: Rig, w: n
                   dt: float) -> np.ndarray | None:
     """Return the speed that is demanded of the drive, (n,) rad/s; None where nothing says.
 
-    ``shown`` is the position as its sensor shows it, which is what a loop in which it stands sees.
+    ``shown`` is the position as its sensor shows it, NaN where missing: a loop in which that
+    stands reads it.
     """
     if "omega" not in true:
         return None
@@ -442,7 +443,7 @@ def _speed_demand(shown: np.ndarray, true: dict[str, np.ndarray], rig: Rig, w: n
         return true["omega_d"]
     if "x_d" not in true or rig.position_gain is None:
         return None
-    read, lead = (shown, w[s.POSITION_DELAY]) if w[s.IN_LOOP] else (true["x"], 0.0)
+    read, lead = (filled(shown), w[s.POSITION_DELAY]) if w[s.IN_LOOP] else (true["x"], 0.0)
     return rig.position_gain * (true["x_d"] - _ahead(read, lead - w[s.FEEDBACK_DELAY], dt))
 
 

@@ -373,10 +373,10 @@ def identify(rig: Rig, planner: Planner,
     planned: Planned | None = planner.first(rig.position())
     recordings: list[Recording] = []
     known: list[Fit] = []
-    motions: list[str] = []
-    seconds, number, moved = 0.0, 0, False
+    motions: list[Planned] = []
+    seconds = 0.0
     while planned is not None:
-        number += 1
+        number = len(motions) + 1
         say(f"motion {number}: {planned.motion.words}", 0.0)
         ran = rig.run(planned.x_d, f"motion_{number:02d}")
         seconds += ran.recording.duration
@@ -385,10 +385,11 @@ def identify(rig: Rig, planner: Planner,
             return
         check(ran.recording)
         recordings.append(ran.recording)
-        motions.append(planned.motion.name)
+        motions.append(planned)
         answer = diagnose_and_name(recordings, planner.settings, say, known)
-        moved |= float(np.ptp(planned.x_d)) > 0.0  # a rest alone may show nothing
-        if answer.diagnosis.verdict == "insufficient_data" and moved:
+        # A rest alone may show nothing.
+        if answer.diagnosis.verdict == "insufficient_data" and any(
+                np.ptp(one.x_d) > 0.0 for one in motions):
             raise InputError(f"{ran.recording.source}: {answer.diagnosis.message}; expected a "
                              "piston that follows the command")
         one = judged(planned, ran, seconds, answer)
@@ -397,7 +398,8 @@ def identify(rig: Rig, planner: Planner,
             one = following(planner, answer.naming, one, rig.position())
         else:  # no set explains it yet: another motion may show what is missing
             one = replace(one, following=planner.best(
-                planner.blank, rig.position(), planner.bounds.total_time - seconds, motions))
+                planner.blank, rig.position(), planner.bounds.total_time - seconds,
+                [one.motion.name for one in motions]))
         if one.following is None and not answer.by_filter:
             one = by_least_squares(one)
         planned = one.following

@@ -199,28 +199,27 @@ def by_first(first: Diagnosis, started: float) -> Diagnosis:
 
 
 def explains_more(first: Diagnosis, found: Diagnosis, recordings: list[Recording],
-                  settings: Settings, policy: Policy = POLICY) -> bool:
-    """Tell whether what the balances name leaves less of the force on unseen data.
+                  settings: Settings, policy: Policy = POLICY, share: float = 0.0) -> bool:
+    """Tell whether the first answer leaves less of the force on unseen data than the other.
 
-    By more than ``worse`` of it, both as laws of the config and as a balance in its band: the gate
-    that an answer by a filter owes to least squares.
+    By more than ``worse`` of it, both as laws of the config and as a balance in its band, or less
+    than a ``share`` of what the other leaves: the gate between a filter and least squares.
     """
     force = first.signals.get("force")
     if force is None:
         return False
     mine, theirs = (left_of_force(one, recordings, settings) for one in (first, found))
-    return theirs - mine > policy.worse * force.signal_rms
+    return theirs - mine > policy.worse * force.signal_rms or mine < share * theirs
 
 
 def defends(found: Diagnosis, first: Diagnosis, recordings: list[Recording], settings: Settings,
             policy: Policy = POLICY) -> bool:
     """Tell whether a filter's answer leaves so much less of the force that it stands as it is.
 
-    By more than ``worse`` of it, or less than ``open`` of what least squares leave: what they have
-    no law for (a sensor's curve) may be hardly any of the force, and yet move its numbers.
+    What least squares have no law for (a sensor's curve) may be hardly any of the force, and yet
+    move its numbers: less than ``open`` of what they leave is enough.
     """
-    mine, theirs = (left_of_force(one, recordings, settings) for one in (found, first))
-    return mine < policy.open * theirs or explains_more(found, first, recordings, settings)
+    return explains_more(found, first, recordings, settings, policy, policy.open)
 
 
 def left_of_force(answer: Diagnosis, recordings: list[Recording], settings: Settings) -> float:
