@@ -320,7 +320,7 @@ def _or_a_sensor(change: Change) -> str:
                if name in CATALOGUE and CATALOGUE[name].balance == "sensor"]
     if not sensors or any(name in change.statement for name in sensors):
         return ""
-    return f" (so would an error of a sensor: {listed(sensors, 'or')})"
+    return f" ({listed(sensors, 'or')}, a sensor's error, would read the same)"
 
 
 def _message(verdict: str, changes: Sequence[Change], judged: Judged, runs: str,
