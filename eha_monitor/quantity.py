@@ -6,7 +6,7 @@ never below ``FLOOR`` of the value: rig numbers come with three digits, and a nu
 rounded to three digits is off by at least 1/(1000 √12) = 0.03 % of itself (one standard
 deviation), which B and beta_e carry in full (``benchmarks/rig_numbers.py``).  Larger errors of the
 rig numbers are not in the ± of an estimate, and ``NOTE`` says so; a diagnosis has their tolerances
-in it (``DIAGNOSED``).
+in it (``DIAGNOSED``), a comparison has not (``COMPARED``).
 """
 
 import math
@@ -25,6 +25,9 @@ NOTE = ("± is one standard deviation due to noise, shown as at least "
 DIAGNOSED = ("± is one standard deviation due to noise and the tolerances of the configured rig "
              "data (rig.tolerance), shown as at least "
              f"{100 * FLOOR:g} % of the value.")
+COMPARED = ("± is one standard deviation due to noise and from one healthy recording to another. "
+            "Errors of the configured rig data move healthy and now alike, and are not in the ± "
+            "of a change.")
 SYMBOLS = {"B": "B", "beta_e": "βe", "L": "C_T"}  # of the estimated parameters
 
 # Prefix and the size from which it is written.  Large ones come late: 9000 N·s/m, 12 kN·s/m.

@@ -338,6 +338,38 @@ def test_behind_check_valves_the_filled_chamber_is_compressed(play):
     assert abs(found.value - 1.0 / beta) < 2.0 * found.stddev
 
 
+@pytest.mark.parametrize("filled", [1, 2])
+def test_oil_and_air_are_those_of_the_volume_where_the_piston_stands(filled):
+    """A single rod whose chambers change over the stroke: the flow by its own equation."""
+    areas, volumes, pump = (3e-3, 2e-3), (1.3e-4, 9.7e-4), 1.3e-6
+    beta, alpha, n = 1.2e9, 8e-3, 1.4
+    config = settings_from_tree({"rig": {
+        "area_1": areas[0], "area_2": areas[1], "volume_1": volumes[0], "volume_2": volumes[1],
+        "mass": 100.0, "pump_displacement": pump, "position_gain": None, "leakage": 0.0,
+        "makeup_conductance": 0.0, "charge_pressure": 4e5},
+        "effects": {"position_dependent_volume": {"A_v": areas[0], "r": areas[1] / areas[0]}}},
+        "a test")
+    t = np.arange(0.0, 20.0, 1e-3)
+    x, v = 0.2 - 0.08 * np.cos(1.3 * t), 0.104 * np.sin(1.3 * t)
+    p = 9e5 + 4e5 * np.sin(5.0 * t) + 1e5 * np.sin(11.0 * t)
+    rate = 2e6 * np.cos(5.0 * t) + 1.1e6 * np.cos(11.0 * t)
+    volume = volumes[0] + areas[0] * x if filled == 1 else volumes[1] - areas[1] * x
+    taken = volume * rate * (1.0 / beta + alpha / (n * p) * (101325.0 / p) ** (1.0 / n))
+    way, area = (1.0, areas[0]) if filled == 1 else (-1.0, areas[1])
+    low = np.full(len(t), 2e5)
+    course = course_of(Recording(1e-3, {
+        "x": x, "omega": (area * v + way * taken) / pump,
+        "p1": p if filled == 1 else low, "p2": low if filled == 1 else p}), config)
+    every = candidates_of("flow", Scale.of([course]), config.rig)
+    columns = np.stack([next(one for one in every if one.name == name).column(
+        course, config.rig) for name in ("C_h", "alpha")], axis=1)
+    left = areas[0] * course.v - pump * course.omega * areas[0] / area
+    inner = slice(100, -100)  # the rates of the measured pressures are low-passed
+    found, *_ = np.linalg.lstsq(columns[inner], left[inner], rcond=None)
+    assert volumes[0] / found[0] == pytest.approx(beta, rel=0.03)
+    assert found[1] == pytest.approx(alpha, rel=0.03)
+
+
 def test_more_friction_at_another_damping_is_more_friction(settings):
     healthy = healthy_machine([stranger(seed, damping=(1500.0 + 60.0 * k,) * 2)
                                for seed, k in enumerate((-1, 0, 1, 0.5))], settings)

@@ -391,13 +391,32 @@ def _as_of_chamber_1(course: Course) -> np.ndarray | float:
                                                     1.0 / course.ratio)
 
 
+def oil_pressed(course: Course, rig: Rig) -> np.ndarray | None:
+    """Return V(x) p' of either chamber, as of chamber 1, (2, m) m³·Pa/s; None without volumes.
+
+    The volumes are the config's, which may change over the stroke.
+    """
+    if not (rig.volume_1 and rig.volume_2):
+        return None
+    still = np.stack([rig.volume_1 * course.rate_1, -rig.volume_2 * course.rate_2 / course.ratio])
+    return still + course.known.get("stroke", 0.0)
+
+
+def _pressed(course: Course, rig: Rig) -> np.ndarray:
+    """Return the rate that the oil is pressed at, of a volume as large as V_1, (m,) Pa/s."""
+    oil = oil_pressed(course, rig)
+    return pressure_rate(course) if oil is None else course.of_filled(*oil) / rig.volume_1
+
+
 def _air(course: Course, rig: Rig) -> np.ndarray | None:
     """Return the flow into air of one, by volume at atmospheric pressure: alpha V C(p) p'."""
-    if not rig.volume_1:
+    oil = oil_pressed(course, rig)
+    if oil is None:
         return None
-    p = pumped_pressure(course, rig) + rig.ambient_pressure
-    soft = np.array([compliance.py_func(one, 1.0, AIR_EXPONENT) for one in p.tolist()])
-    return -pressure_rate(course) * rig.volume_1 * soft
+    soft = [[compliance.py_func(one, 1.0, AIR_EXPONENT) for one in
+             (_above_ambient(p, course, rig) + rig.ambient_pressure).tolist()]
+            for p in (course.p1, course.p2)]
+    return -course.of_filled(*(oil * np.array(soft)))
 
 
 def _over_stroke(course: Course, rig: Rig) -> np.ndarray:
@@ -422,8 +441,8 @@ def flow_candidates(scale: Scale, rig: Rig) -> tuple[Candidate, ...]:
             always=True, between=0.02, power=1.0, twins=("position_scale",)),
         one("dD_p", "pump_loss_by_direction", "m³/rad", "further displacement where it retracts",
             0, lambda c, r: np.minimum(c.omega, 0.0), odd=False, power=1.0),
-        one("C_h", "compliance", "m³/Pa", "compliance of a chamber", 1,
-            lambda c, r: -pressure_rate(c), family="compliance", power=1.0),
+        one("C_h", "compliance", "m³/Pa", "compliance of chamber 1 at x = 0", 1,
+            lambda c, r: -_pressed(c, r), family="compliance", power=1.0),
         one("alpha", "entrained_air", "1", "share of air, at atmospheric pressure", 1, _air,
             family="compliance", symbol="alpha", shape=(("n", AIR_EXPONENT),), power=1.0,
             limit=0.5, upon="compliance"),

@@ -363,7 +363,8 @@ def known_of(course: Course, rig: Rig, theta: np.ndarray, active: np.ndarray
     """Return what the config adds to each balance beyond B, D_p and the compliance, SI.
 
     The force of its mass and effects, (m,), and the flow of its leakage and effects as of either
-    chamber, (2, m), by the catalogue's own compiled terms along the measured motion.
+    chamber, (2, m), by the catalogue's own compiled terms along the measured motion.  A volume
+    that changes over the stroke is in the compliance, which is fitted, and not in the flow.
     """
     zero = np.zeros(len(course))
     c = np.zeros((len(course), s.N_CONTRIBUTIONS))
@@ -383,7 +384,7 @@ def known_of(course: Course, rig: Rig, theta: np.ndarray, active: np.ndarray
              s.FLOW_1),
             (-1.0, course.ratio, course.p2, course.rate_2, s.VOLUME_2, rig.volume_2,
              s.COMPLIANCE_2, s.FLOW_2)):
-        soft = c[:, volume] / rig.bulk_modulus + ((own or 0.0) + c[:, volume]) * c[:, more]
+        soft = ((own or 0.0) + c[:, volume]) * c[:, more]
         makeup = rig.makeup_conductance * (p - rig.charge_pressure)
         left.append(sign / share * (c[:, into] - sign * crossing - makeup - soft * rate))
         stroke.append(sign / share * c[:, volume] * rate)

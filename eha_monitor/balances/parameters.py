@@ -24,6 +24,7 @@ from eha_monitor.balances.baseline import (
     force_fit,
 )
 from eha_monitor.balances.bends import FALL
+from eha_monitor.balances.candidates import oil_pressed
 from eha_monitor.balances.course import (
     BAND,
     Course,
@@ -125,9 +126,8 @@ def compressibility(course: Course, rig: Rig) -> Term | None:
     flow, (pump, leakage, _) = columns
     leakage = (*leakage[:3], 0, leakage[4])  # beside the config's it may be less
     stroke = course.added("stroke")
-    flow = flow - course.added("flow") - stroke / rig.bulk_modulus
-    oil = stroke + course.of_filled(rig.volume_1 * course.rate_1,
-                                     -rig.volume_2 * course.rate_2 / course.ratio)
+    flow = flow - course.added("flow")
+    oil = course.of_filled(*oil_pressed(course, rig))
     ways = [oil]
     if not np.any(stroke):
         ways.append(oil + rig.area_1 * course.x * course.of_filled(course.rate_1, course.rate_2))
