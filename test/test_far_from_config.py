@@ -4,6 +4,7 @@ import pytest
 from strangers.draw import draw_rig
 from strangers.generate import record, settings_of, truth_of
 
+from eha_monitor.mismatch.advise.advice import advise
 from eha_monitor.mismatch.diagnose import FINER, diagnose
 
 DRY = {"coulomb_friction", "stribeck_friction", "presliding_friction", "pressure_friction"}
@@ -51,3 +52,16 @@ def test_dry_friction_of_another_law_is_not_left_to_the_filter_near_its_config_e
     low, high = sorted(truth["B_span"])
     damping = found.after["B"]
     assert low - 2.0 * damping.stddev < damping.value < high + 2.0 * damping.stddev
+
+
+def test_advice_rests_on_the_answer_that_a_diagnosis_gives():
+    """Of a law that no filter follows its numbers were advice as well: twice the damping."""
+    rig = draw_rig(3, 6, "equal", "lugre")
+    setting = next(one for one in rig.settings if one.load)
+    names, found = advise([record(rig, setting, 1)[0]], settings_of(rig), check=False)
+    known = {one.name: one for one in found.known}
+    assert DRY & set(names) and "constant_load" in names
+    damping, load = known["B"], known["constant_load.F_0"]
+    assert abs(damping.value - truth_of(rig, setting)["B_span"][0]) < 2.0 * damping.stddev
+    assert abs(load.value - setting.load) < 2.0 * load.stddev
+    assert found.tried and found.said  # and a motion is looked for around what was named

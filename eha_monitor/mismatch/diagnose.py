@@ -49,8 +49,14 @@ from eha_monitor.mismatch.likelihood.fit import Fit
 from eha_monitor.mismatch.locate import location as locate
 from eha_monitor.mismatch.locate.terms import BALANCES, missing_terms
 from eha_monitor.mismatch.name.before import FirstView, at_its_angle, informative
-from eha_monitor.mismatch.name.naming import Naming, beyond_form, name_effects, on_all_of
-from eha_monitor.mismatch.name.select import Search, begun, lack_of, lacks
+from eha_monitor.mismatch.name.naming import (
+    Naming,
+    beyond_form,
+    follows,
+    name_effects,
+    on_all_of,
+)
+from eha_monitor.mismatch.name.select import Search, begun, lack_of
 from eha_monitor.mismatch.name.unnamed import INTERMITTENT
 from eha_monitor.mismatch.policy import SearchPolicy
 from eha_monitor.mismatch.show import held_out as show
@@ -264,17 +270,6 @@ def _of_the_force(answer: Diagnosis) -> dict[str, Value]:
             found |= {one.name: effect.parameters[one.name] for one in CATALOGUE[effect.name].sizes
                       if one.name in effect.parameters and np.isfinite(one.neutral)}
     return found
-
-
-def follows(naming: Naming) -> bool:
-    """Tell whether the model that was found follows the recording, and least squares cannot more.
-
-    It needs no unknown force, flow or speed that shows, or lacks no more of what the nominal
-    model does than may be the form error of its laws.
-    """
-    experiment, before = naming.experiment, lack_of(naming.experiment, naming.before)
-    return not lacks(experiment, naming.after) or bool(np.isfinite(before) and lack_of(
-        experiment, naming.after) <= experiment.policy.law * before)
 
 
 def begun_in(experiment: Experiment, say: Report, first: Diagnosis | None = None,

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from eha_monitor.balances.answer import Asked, answered
+from eha_monitor.balances.answer import Asked, answered, far_from_config, first_answer
 from eha_monitor.balances.candidates import Scale, balances_in, candidates_of
 from eha_monitor.balances.course import course_of
 from eha_monitor.balances.least_squares import inverse_of
@@ -45,9 +45,9 @@ from eha_monitor.mismatch.diagnosis import Diagnosis
 from eha_monitor.mismatch.likelihood.fit import Fit, with_unknowns
 from eha_monitor.mismatch.likelihood.gains import Unknowns
 from eha_monitor.mismatch.likelihood.information import Slope, Traces, free_slopes
-from eha_monitor.mismatch.name.naming import Naming, name_effects
+from eha_monitor.mismatch.name.naming import Naming, follows, name_effects
 from eha_monitor.mismatch.name.refit import settled
-from eha_monitor.mismatch.name.select import begun, nominal
+from eha_monitor.mismatch.name.select import Unfollowed, begun, nominal
 from eha_monitor.mismatch.name.starts import limits_of, with_effect
 from eha_monitor.physics.effects import CATALOGUE, NAMES
 from eha_monitor.physics.parameters import place_of
@@ -56,16 +56,9 @@ from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings.monitor import Settings
 
 
-def advised_by_balances(recordings: Sequence[Recording], settings: Settings
+def advised_by_balances(found: Diagnosis, recordings: Sequence[Recording], settings: Settings
                         ) -> tuple[tuple[str, ...], Advice]:
-    """Return the named effects, and what the balances leave open; no motion is simulated.
-
-    Raises
-    ------
-    InputError
-        If one of the recordings has no force balance.
-    """
-    found = answered(recordings, settings, Asked())
+    """Return the effects that the balances have ``found``, and what they leave open."""
     names = tuple(one.name for one in found.effects if one.name in CATALOGUE)
     unit = "N·s/m" if settings.rig.motion == "linear" else "N·m·s/rad"
     return names, Advice(_known(found, recordings, settings), np.nan, (), (), (), (), None, (), (),
@@ -128,12 +121,16 @@ def yielding(experiment: Experiment, fit: Fit) -> Fit:
 
 def with_motion(found: Advice, recordings: list[Recording], settings: Settings, check: bool,
                 report: Report | None) -> Advice:
-    """Return advice by balances with the motion that a filter around a measured force plans.
+    """Return advice by balances with the motion that a filter plans.
 
     Unchanged behind a valve circuit, where no model predicts a motion.
+
+    Parameters
+    ----------
+    settings : with the effects that the balances name.
     """
     experiment = experiment_of(recordings, settings, hold_out=False)
-    if experiment.mode != FORCED:
+    if experiment.mode != FORCED and by_balances(recordings, settings):
         return found
     experiment, first = nominal(experiment)
     planned = advice(experiment, yielding(experiment, first), {}, check=check, report=report)
@@ -301,7 +298,8 @@ def advise(recordings: list[Recording], settings: Settings, check: bool = True,
     """
     with computing(*(recording.source for recording in recordings)):
         if by_balances(recordings, settings):
-            names, found = advised_by_balances(recordings, settings)
+            names, found = advised_by_balances(answered(recordings, settings, Asked()),
+                                               recordings, settings)
             return names, with_motion(found, recordings, settings, check, report)
         return _advised(recordings, settings, check, report or (lambda text, share: None))
 
@@ -319,7 +317,16 @@ def _advised(recordings: list[Recording], settings: Settings, check: bool, say: 
     def said(text, share):
         say(text, 0.6 * share)
 
-    naming = name_effects(begun(experiment, said), said)
+    first = first_answer(recordings, settings, Asked())
+    far = far_from_config(first)  # as in a diagnosis: no filter may be able to follow
+    try:
+        naming = name_effects(begun(experiment, said, may_end=far), said)
+    except Unfollowed:
+        naming = None
+    if naming is None or (far and not follows(naming)):
+        names, by_first = advised_by_balances(first, recordings, settings)
+        return names, with_motion(by_first, recordings, settings.model_copy(
+            update={"effects": first.config_effects}), check, said)
     found = advice(experiment, naming.after, naming.rivals, rival_fits(naming), check,
                    report=lambda text, share: say(text, 0.6 + 0.4 * share))
     return naming.after.named, found

@@ -186,7 +186,7 @@ class Advice:
         nothing is in doubt; ``tried`` what was considered, with log units for each doubt.
     checks : the proposed motion in simulation.
     plannable : False where the config has too little to simulate a motion.
-    said : sentences of a likelihood that plans no motion.
+    said : what the balances advise, where they answer.
     """
 
     known: tuple[Known, ...]

@@ -33,7 +33,9 @@ def sentences(advice: Advice) -> tuple[str, ...]:
                           for c in advice.confusions)]
     found += group_words(advice.groups)
     found += blind_words(advice)
-    found += list(advice.said) or motion_words(advice)
+    found += advice.said
+    if advice.doubts or not advice.said:
+        found += motion_words(advice)
     found += [check_words(check, advice.damping_unit) for check in advice.checks]
     return tuple(found)
 

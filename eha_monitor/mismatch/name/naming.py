@@ -16,7 +16,7 @@ from eha_monitor.mismatch.name.columns import runs_of
 from eha_monitor.mismatch.name.gram import evidences_at
 from eha_monitor.mismatch.name.posterior import plainness, posterior
 from eha_monitor.mismatch.name.refit import settled
-from eha_monitor.mismatch.name.select import Search, Selection, finished
+from eha_monitor.mismatch.name.select import Search, Selection, finished, lack_of, lacks
 from eha_monitor.mismatch.name.starts import limits_of
 from eha_monitor.mismatch.name.unnamed import INTERMITTENT, loads_of
 from eha_monitor.physics.effects import CATALOGUE
@@ -207,3 +207,14 @@ def on_all_of(experiment: Experiment, naming: Naming) -> Naming:
         return replace(with_unknowns(whole, fit), covariance=fit.covariance)
 
     return replace(naming, experiment=whole, before=over(naming.before), after=over(naming.after))
+
+
+def follows(naming: Naming) -> bool:
+    """Tell whether the model that was found follows the recording, and least squares cannot more.
+
+    It needs no unknown force, flow or speed that shows, or lacks no more of what the nominal
+    model does than may be the form error of its laws.
+    """
+    experiment, before = naming.experiment, lack_of(naming.experiment, naming.before)
+    return not lacks(experiment, naming.after) or bool(np.isfinite(before) and lack_of(
+        experiment, naming.after) <= experiment.policy.law * before)
