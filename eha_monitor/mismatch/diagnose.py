@@ -56,7 +56,7 @@ from eha_monitor.mismatch.name.naming import (
     name_effects,
     on_all_of,
 )
-from eha_monitor.mismatch.name.select import Search, begun, lack_of
+from eha_monitor.mismatch.name.select import Elsewhere, Search, begun, lack_of
 from eha_monitor.mismatch.name.unnamed import INTERMITTENT
 from eha_monitor.mismatch.policy import SearchPolicy
 from eha_monitor.mismatch.show import held_out as show
@@ -165,7 +165,8 @@ def _diagnosed(recordings: list[Recording], settings: Settings, held_out: Record
     end = searched(
         lambda under: at_its_angle(experiment_of(recordings, under, held_out is None, without)),
         held, decision, stands,
-        lambda experiment, may_end: begun_in(experiment, say, first, may_end, known or ()),
+        lambda experiment, may_end, elsewhere: begun_in(experiment, say, first, may_end,
+                                                        known or (), elsewhere),
         lambda search: name_effects(search, lambda text, share: say(text, 0.85 * share)))
     experiment, decision, named = end.experiment, end.decision, end.named
     if not end.followed:
@@ -273,20 +274,20 @@ def _of_the_force(answer: Diagnosis) -> dict[str, Value]:
 
 
 def begun_in(experiment: Experiment, say: Report, first: Diagnosis | None = None,
-             may_end: bool = False, known: Sequence[Fit] = ()
-             ) -> tuple[Experiment, Search] | None:
+             may_end: bool = False, known: Sequence[Fit] = (),
+             elsewhere: Elsewhere | None = None) -> tuple[Experiment, Search] | None:
     """Begin a search in the most informative windows; None where the piston hardly moves.
 
     Parameters
     ----------
     first : what the balances answer.
-    may_end, known : see :class:`select.Search` and :func:`select.begun`.
+    may_end, known, elsewhere : see :class:`select.Search` and :func:`select.begun`.
     """
     if experiment.ranges.position < TRAVEL * experiment.noise[0]:
         return None
     windows = informative(experiment)
     return windows, begun(windows, lambda text, share: say(text, 0.85 * share),
-                          view_of(first), may_end, known)
+                          view_of(first), may_end, known, elsewhere)
 
 
 def view_of(first: Diagnosis | None) -> FirstView | None:

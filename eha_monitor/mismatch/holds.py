@@ -19,7 +19,13 @@ from eha_monitor.mismatch.name.before import informative
 from eha_monitor.mismatch.name.columns import effects_of
 from eha_monitor.mismatch.name.naming import Naming
 from eha_monitor.mismatch.name.refit import looked
-from eha_monitor.mismatch.name.select import Search, Unfollowed, nominal_model
+from eha_monitor.mismatch.name.select import (
+    GAINED,
+    Elsewhere,
+    Search,
+    Unfollowed,
+    nominal_model,
+)
 from eha_monitor.mismatch.name.starts import without_effect
 from eha_monitor.settings.monitor import Settings
 
@@ -50,31 +56,39 @@ Begun = tuple[Experiment, Search]
 
 def searched(under: Callable[[Settings], Experiment], held: Settings,
              decision: HoldDecision | None, may_end: bool,
-             begin: Callable[[Experiment, bool], Begun | None], name: Callable[[Search], Naming]
-             ) -> Searched:
+             begin: Callable[[Experiment, bool, Elsewhere | None], Begun | None],
+             name: Callable[[Search], Naming]) -> Searched:
     """Search under the hold that was decided, and under the other where that explains more.
 
     Where the hold is not decided, the other is asked for as soon as a gate refuses what was found
-    first; in any case where no filter follows, where the answer leaves something unexplained, and
-    where it names what a held command resembles.
+    first; in any case where no set that is refitted first follows, where no filter does, where the
+    answer leaves something unexplained, and where it names what a held command resembles.
 
     Parameters
     ----------
     under : settings with a hold -> experiment.
     held : settings with the hold of the decision.
     may_end : whether a search may end by ``Unfollowed``.
-    begin : (experiment, whether it may end so) -> windows, and a search begun in them; None where
-        the piston hardly moves.
+    begin : (experiment, whether it may end so, whether a fit is better off under the other hold)
+        -> windows, and a search begun in them; None where the piston hardly moves.
     name : ends a search.
     """
     experiment = under(held)
-    begun, followed = _followed(begin, experiment, may_end)
     if decision is None:
+        begun, followed = _followed(begin, experiment, may_end, None)
         return Searched(experiment, None, *_named(name, begun, followed))
     other = cache(lambda: under(other_hold(held)))
     there = cache(lambda: informative(other()))
     bare = cache(lambda: nominal_of(there()))
     gained = 0.0
+
+    def elsewhere(fit: Fit) -> bool:
+        nonlocal gained
+        gained = gained_under(there(), bare(), fit)
+        return gained > max(GAINED * experiment.policy.lacking * experiment.n, decision.evidence)
+
+    begun, followed = _followed(begin, experiment, may_end, elsewhere)
+    gained = 0.0 if followed else gained
     if begun is not None and not decision.decided and begun[1].doubtful:
         gained = gained_under(there(), bare(), begun[1].found)
     if gained <= 0.0:
@@ -90,7 +104,8 @@ def searched(under: Callable[[Settings], Experiment], held: Settings,
             return stands
         may_end = may_end and not followed
     decision = replace(decision, hold=other().settings.command_hold, evidence=gained, decided=True)
-    return Searched(other(), decision, *_named(name, *_followed(begin, other(), may_end)))
+    return Searched(other(), decision, *_named(
+        name, *_followed(begin, other(), may_end, None)))
 
 
 def _followed(step: Callable, *arguments) -> tuple[Any, bool]:

@@ -69,6 +69,9 @@ GAINED = 0.1  # of what a model lacks, that another round of a search must remov
 SKETCH, SKETCH_WINDOW = 8_000, 2_000  # samples that a search begins on, in windows
 
 
+Elsewhere = Callable[[Fit], bool]
+
+
 class Unfollowed(Exception):
     """No set of the catalogue's laws brings the filter near a recording.
 
@@ -113,6 +116,7 @@ class Search:
     view : what least squares name, until it was looked at.
     may_end : ends by :class:`Unfollowed` where no law follows; ``lack`` what the best model lacked
         after the round before, log units a sample.
+    elsewhere : asked once where no law follows: is a fit better off under another input?
     bare : the nominal model with nothing of the rig free.
     """
 
@@ -129,16 +133,14 @@ class Search:
     may_end: bool = False
     lack: float = np.inf
     bare: Fit | None = None
+    elsewhere: Elsewhere | None = None
 
     @classmethod
-    def at(cls, experiment: Experiment, nominal: Fit, sketch: bool = False,
-           view: FirstView | None = None, may_end: bool = False, bare: Fit | None = None
-           ) -> "Search":
-        """Return a search at its beginning."""
+    def at(cls, experiment: Experiment, nominal: Fit, **more) -> "Search":
+        """Return a search at its beginning; ``more`` of its attributes."""
         refits = Refits(experiment.policy)
         refits.add(experiment, frozenset(), nominal)
-        return cls(experiment, nominal, refits, sketch, ended=sketch, view=view, may_end=may_end,
-                   bare=bare)
+        return cls(experiment, nominal, refits, ended=more.get("sketch", False), **more)
 
     def gained_nothing(self) -> bool:
         """Tell whether the best model lacks a log unit a sample, after the last round as before.
@@ -148,6 +150,21 @@ class Search:
         before, self.lack = self.lack, lack_of(self.experiment, self.found)
         return self.may_end and self.lack > max(self.experiment.policy.lacking,
                                                 (1.0 - GAINED) * before)
+
+    def leave(self) -> None:
+        """Ask once, where the best model lacks a log unit a sample, whether to go elsewhere.
+
+        Raises
+        ------
+        Unfollowed
+            If so.
+        """
+        if self.elsewhere is None or not (
+                lack_of(self.experiment, self.found) > self.experiment.policy.lacking):
+            return
+        asked, self.elsewhere = self.elsewhere, None
+        if asked(self.found):
+            raise Unfollowed
 
     @property
     def found(self) -> Fit:
@@ -276,7 +293,7 @@ def strayed(view: Linearised, refits: Refits) -> bool:
 
 def begun(experiment: Experiment, say=lambda text, share: None,
           first_view: FirstView | None = None, may_end: bool = False,
-          known: Sequence[Fit] = ()) -> Search:
+          known: Sequence[Fit] = (), elsewhere: Elsewhere | None = None) -> Search:
     """Begin to find the set of effects and wrong numbers of the rig that a recording supports.
 
     The search comes back after its first pass, judged by the gates.
@@ -288,13 +305,13 @@ def begun(experiment: Experiment, say=lambda text, share: None,
     ----------
     first_view : what least squares name: a set that is fitted from their numbers where all that
         was found lacks something.
-    may_end : see :class:`Search`.
+    may_end, elsewhere : see :class:`Search`.
     known : models with names that were found on other recordings of the same rig, the best first.
 
     Raises
     ------
     Unfollowed
-        If it may end so.
+        If it may end so, or is better off elsewhere.
     """
     say("fitting the nominal model", 0.05)
     experiment, first = resolved_nominal(experiment)
@@ -303,7 +320,8 @@ def begun(experiment: Experiment, say=lambda text, share: None,
         experiment, first)))
     if not near:
         start = likelier(nominal_model(experiment, within=True), start)
-    search = Search.at(experiment, start, view=first_view, may_end=may_end, bare=first)
+    search = Search.at(experiment, start, view=first_view, may_end=may_end, bare=first,
+                       elsewhere=elsewhere)
     if not search.refits.evidence:
         raise np.linalg.LinAlgError("the nominal model's evidence is singular")
     search.going_on_from(known)
@@ -312,8 +330,8 @@ def begun(experiment: Experiment, say=lambda text, share: None,
     sketch = sketch_of(experiment, start) if search.widely else None
     if sketch is not None:
         say("searching a third of the samples", 0.1)
-        found = explored(
-            Search.at(sketch, with_unknowns(sketch, start), True, first_view, may_end), say)
+        found = explored(Search.at(sketch, with_unknowns(sketch, start), sketch=True,
+                                   view=first_view, may_end=may_end, elsewhere=elsewhere), say)
         if may_end and lack_of(sketch, found.found) > experiment.policy.lacking:
             raise Unfollowed
         caught_up(sketch, found.refits)
@@ -375,6 +393,7 @@ def explored(search: Search, say: Callable[[str, float], None]) -> Search:
             if not chosen:
                 break
             refit(experiment, view, chosen, refits)
+            search.leave()
             if refits.ahead(done, STRAYED) is not None:
                 break
     return search
