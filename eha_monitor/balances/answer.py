@@ -108,7 +108,7 @@ def answered(recordings: Sequence[Recording], settings: Settings, asked: Asked =
                   for balance in balances_in(courses, rig)]
     shown = list(courses)
     if asked.held_out is not None:
-        shown = [replace(course_of(asked.held_out, settings), through_one=courses[0].through_one)]
+        shown = [replace(course_of(asked.held_out, settings), oil=courses[0].oil)]
         there = balances_in(shown, rig)
         models = [on_held_out(one, shown[0], rig, scale, policy) for one in models
                   if one.balance in there]

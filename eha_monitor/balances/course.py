@@ -46,6 +46,8 @@ COMMANDED, MEASURED = 0.005, 0.05  # of its size: a smaller demand has no sign; 
 TRAVEL = 20.0  # times the position's noise: less is no motion
 DESIGNS = 64  # low-passes that are kept
 CHANNELS = ("x", "x_d", "omega", "omega_d", "p1", "p2", "force")
+IN_TURN, CHAMBER_1, BOTH = "in_turn", "chamber_1", "both"  # whose oil a pump presses
+CLOSED = 0.75  # of what the higher pressure rises, the lower one falls
 GAUGE = 0.5  # of the ambient pressure: a reading below is no absolute pressure
 
 
@@ -78,8 +80,9 @@ class Course:
     ratio : area of chamber 2 over that of chamber 1; None of a rig without areas.
     good : (m,) bool, measured on all channels and away from stops.
     moving : (m,) bool, fast enough for dry friction to have a sign.
-    through_one : whichever way it turns, the pump acts on chamber 1
-        (:func:`~eha_monitor.balances.together.of_one_machine`).
+    oil : whose oil the pump's flow presses, ``IN_TURN``, ``CHAMBER_1`` or ``BOTH``, the same in
+        all recordings of a machine (:func:`~eha_monitor.balances.together.of_one_machine`); ""
+        where the motion itself is to say so.
     viscosity : of the oil at the temperature that the recording measures, over that at the
         reference temperature (``viscosity`` of the config); NaN where no channel has it.
     """
@@ -108,7 +111,7 @@ class Course:
     ratio: float | None
     good: np.ndarray
     moving: np.ndarray
-    through_one: bool = False
+    oil: str = ""
     viscosity: float = np.nan
 
     def __len__(self) -> int:
@@ -142,18 +145,8 @@ class Course:
 
     @cached_property
     def mean_of_both(self) -> bool:
-        """Whether the flow balance is the mean of both chambers', which halves the noise.
-
-        Not with unequal areas, and not where check valves hold the lower pressure at the
-        source's: only the filled chamber's oil is compressed there.  Of two closed chambers the
-        lower pressure falls by what the higher one rises, of such it stays: it is told by which
-        is nearer.
-        """
-        if self.ratio != 1.0:
-            return False
-        pressures = np.sort(np.stack([self.p1, self.p2])[:, self.good], axis=0)
-        (_, shared), (_, high) = np.cov(pressures)
-        return bool(-shared >= 0.5 * high)
+        """Whether the flow balance is the mean of both chambers', which halves the noise."""
+        return (self.oil or oil_of([self])) == BOTH
 
     @cached_property
     def commanded(self) -> np.ndarray:
@@ -173,7 +166,7 @@ class Course:
 
         Behind valves it is the demand that says so, not the pressure: that falls at each switch.
         """
-        if self.through_one:
+        if self.oil == CHAMBER_1:
             return np.ones(len(self))
         if self.demand is None or self.ratio == 1.0:
             return np.where(self.p1 > self.p2, 1.0, -1.0)
@@ -235,6 +228,24 @@ class Course:
         soft = (rig.volume_1 or 0.0) / rig.bulk_modulus
         return float(np.sqrt((rig.area_1 * n["x"] * slope) ** 2 + (soft * n["p"] * slope) ** 2
                              + ((rig.pump_displacement or 0.0) * n["omega"] * level) ** 2))
+
+
+def oil_of(courses: Sequence[Course]) -> str:
+    """Return whose oil a pump presses in a machine, as the pressures of all its motions say.
+
+    Of two closed chambers the lower pressure falls by what the higher one rises; where check
+    valves hold it at the source's it stays, and only the filled chamber's oil is compressed.  The
+    balance of the filled chamber holds for either, with more noise: that of both only where the
+    chambers are clearly closed, and of equal areas.
+    """
+    if any(course.ratio != 1.0 for course in courses):
+        return IN_TURN
+    shared = high = 0.0
+    for course in courses:
+        pressures = np.sort(np.stack([course.p1, course.p2])[:, course.good], axis=0)
+        (_, together), (_, upper) = np.cov(pressures)
+        shared, high = shared + together, high + upper
+    return BOTH if -shared >= CLOSED * high else IN_TURN
 
 
 def course_of(recording: Recording, settings: Settings, band: float = BAND) -> Course:

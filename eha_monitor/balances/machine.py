@@ -162,7 +162,7 @@ class Machine:
     areas : of the rig, m^2; None of a file that does not hold them.
     mass, displacement : of the config that its balances were made with, kg and m^3/rad; None of a
         file that does not hold them, or of a rig without.
-    through_one : its pump acts on chamber 1 whichever way it turns.
+    oil : whose oil its pump presses (:class:`Course`).
     viscosity : of the oil in each recording, over that at the reference temperature; empty where
         not all of them measure its temperature.
     """
@@ -179,7 +179,7 @@ class Machine:
     areas: tuple[float, float] | None = None
     mass: float | None = None
     displacement: float | None = None
-    through_one: bool = False
+    oil: str = ""
     viscosity: tuple[float, ...] = ()
 
     def __getitem__(self, balance: str) -> MachineBalance:
@@ -187,7 +187,7 @@ class Machine:
 
     def moved(self, courses: Sequence[Course]) -> list[Course]:
         """Return motions of it with the chamber that its pump acts on."""
-        return [replace(course, through_one=self.through_one) for course in courses]
+        return [replace(course, oil=self.oil) for course in courses]
 
     def to_dict(self) -> dict:
         """Return the JSON form, key ``machine``."""
@@ -209,7 +209,7 @@ class Machine:
             "odd": self.odd,
             "stiffness": self.stiffness, "areas": self.areas, "mass": self.mass,
             "displacement": self.displacement, "scale": self.scale,
-            "through_one": self.through_one, "viscosity": self.viscosity,
+            "oil": self.oil, "viscosity": self.viscosity,
             "policy": self.policy, "balances": self.balances})
 
 
@@ -284,7 +284,7 @@ def machine_from(courses: Sequence[Course], rig: Rig, vary: Sequence[str], witho
     return Machine(rig.name, sources, scale, bool(varied), pieces, tuple(found),
                    _odd(sources, found, policy), policy, stiffness_of(courses, rig),
                    (rig.area_1, rig.area_2), rig.mass, rig.pump_displacement,
-                   courses[0].through_one, viscosity if np.isfinite(viscosity).all() else ())
+                   courses[0].oil, viscosity if np.isfinite(viscosity).all() else ())
 
 
 def pressure_varied(courses: Sequence[Course], policy: Policy) -> bool:

@@ -13,6 +13,7 @@ from eha_monitor.balances.policy import Policy
 from eha_monitor.settings.rig import Rig
 
 CANCELS, TOP = 2.0, 0.998  # quantile that is a column's largest value
+FOLDS = 5  # parts of a recording that are left out in turn
 PARTS = 8  # of a short recording at least, so that some can be left out
 
 
@@ -85,14 +86,18 @@ class Table:
 
     @cached_property
     def halves(self) -> tuple[np.ndarray, np.ndarray]:
-        """Products of every other pair of blocks, and of the rest."""
+        """Products of half of the pairs of blocks, and of the rest."""
         first = self.first_half
         return self.blocks[first].sum(axis=0), self.blocks[~first].sum(axis=0)
 
     @property
     def first_half(self) -> np.ndarray:
-        """Which blocks are of the first half, (b,) bool."""
-        return np.arange(len(self.numbers)) // 2 % 2 == 0
+        """Which blocks are of the first half, (b,) bool: pairs by the sequence of Thue and Morse.
+
+        Every other pair has one direction only of a motion whose period is that of the pairs.
+        """
+        return np.array([pair.bit_count() % 2 == 0 for pair in
+                         (np.arange(len(self.numbers)) // 2).tolist()], dtype=bool)
 
     @cached_property
     def n(self) -> int:
@@ -154,10 +159,15 @@ class Table:
         return left
 
     def crosswise(self, names: Iterable[str], held: dict[str, float] | None = None) -> np.ndarray:
-        """Return what is left of y where each half is fitted on the other, (m,)."""
-        left, first = np.zeros(len(self.rows)), self.first_half
-        for gram, unseen in zip(self.halves, (~first, first), strict=True):
-            here = np.isin(self.block, self.numbers[unseen])
+        """Return what is left of y where each pair of blocks in ``FOLDS`` is fitted without, (m,).
+
+        All but one in so many hold either direction of any periodic motion.
+        """
+        left, names = np.zeros(len(self.rows)), tuple(names)
+        fold = np.arange(len(self.numbers)) // 2 % FOLDS
+        for one in np.unique(fold):
+            here = np.isin(self.block, self.numbers[fold == one])
+            gram = self.blocks[fold != one].sum(axis=0)
             left[here] = self.rows[here] @ self.mixture(gram, names, held)
         return left
 

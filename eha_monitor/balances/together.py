@@ -5,9 +5,9 @@ products of recording i, weighted, and T its settings' columns,
 
     G_i' = G_i - G_iT (G_TT)^-1 G_Ti,     w_-i = argmin over signs of sum over j != i of G_j',
 
-e_i is the RMS on i under w_-i, its settings fitted on every other pair of blocks and judged on
-the rest.  A term enters with the largest mean of d_i = ln(e_i / e_i with it), if that is
-``gain`` at least with a t of ``repeats``; then all terms are tried for removal by the same rule.
+e_i is the RMS on i under w_-i, its settings fitted on half of its blocks and judged on the rest.
+A term enters with the largest mean of d_i = ln(e_i / e_i with it), if that is ``gain`` at least
+with a t of ``repeats``; then all terms are tried for removal by the same rule.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -17,7 +17,7 @@ from functools import cached_property
 import numpy as np
 
 from eha_monitor.balances.candidates import Scale, flow_candidates, founded
-from eha_monitor.balances.course import Course
+from eha_monitor.balances.course import CHAMBER_1, IN_TURN, Course, oil_of
 from eha_monitor.balances.least_squares import (
     independent,
     inverse_of,
@@ -41,13 +41,16 @@ def of_one_machine(courses: Sequence[Course], rig: Rig, policy: Policy = POLICY)
 
     Behind valves it fills either chamber of a single-rod cylinder in turn; beside an accumulator
     it acts on chamber 1 whichever way it turns.  It is the latter where the flow balances leave
-    less with it on unseen parts, by what a name owes.
+    less with it on unseen parts, by what a name owes.  Of equal areas see :func:`oil_of`.
     """
     courses = list(courses)
-    if not all(course.has_flow and course.ratio != 1.0 for course in courses):
+    if not all(course.has_flow for course in courses):
         return courses
-    in_turn, through_one = ways = [[replace(course, through_one=one) for course in courses]
-                                   for one in (False, True)]
+    if any(course.ratio == 1.0 for course in courses):
+        oil = oil_of(courses)
+        return [replace(course, oil=oil) for course in courses]
+    in_turn, through_one = ways = [[replace(course, oil=oil) for course in courses]
+                                   for oil in (IN_TURN, CHAMBER_1)]
     wanted = [one for one in flow_candidates(Scale.of(courses), rig) if one.name in PUMP]
     errors = []
     for way in ways:
@@ -177,7 +180,7 @@ class Recordings:
     def left_out(self, names: Iterable[str]) -> list[np.ndarray]:
         """Return what is left of each recording under the fit to the others, (m,) each.
 
-        Its settings are fitted on every other pair of blocks and applied to the rest.
+        Its settings are fitted on half of its blocks and applied to the rest.
         """
         found = []
         for table, shared, settings, w in self.without_each(names):
