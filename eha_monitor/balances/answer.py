@@ -28,6 +28,7 @@ from eha_monitor.balances.named import (
     effects_of,
     error_of_area,
     made_by,
+    numbers_within,
     within_tolerance,
     wrong_numbers,
 )
@@ -209,6 +210,7 @@ def _composed(models: Sequence[Model], courses: Sequence[Course], settings: Sett
     varying = [one.balance for one in models if only_load(one, policy)]
     models = [one.load_alone() if one.balance in varying else one for one in models]
     wrong = tuple(finding for one in models for finding in wrong_numbers(one, rig, policy))
+    within = tuple(finding for one in models for finding in numbers_within(one, rig, policy))
     effects = [effect for one in models for effect in effects_of(one, rig, policy,
                                                                 settings.effects)]
     if isinstance(charge, RigFinding):
@@ -230,7 +232,7 @@ def _composed(models: Sequence[Model], courses: Sequence[Course], settings: Sett
     if verdict == "unexplained":
         shown = [one.plain() for one in models]
         models = shown if open_ else models
-        effects, wrong, after = [], (), {}
+        effects, wrong, within, after = [], (), (), {}
     where, curves = place_of(shown, courses, effects, wrong, verdict)
     if open_:
         message = "; ".join(
@@ -253,6 +255,7 @@ def _composed(models: Sequence[Model], courses: Sequence[Course], settings: Sett
         ) + _warmed(models, policy),
         config_effects=config_effects(models, effects, settings),
         probability={"consistent": np.nan, "unexplained": np.nan}, rig_data=wrong,
+        rig_within=within,
         fitted=_fitted(models, after, effects, wrong), gates=tuple(
             Gate(one.gate, one.what, one.statement) for model in models
             for one in model.refused))

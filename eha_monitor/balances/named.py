@@ -268,3 +268,26 @@ def wrong_numbers(model: Model, rig: Rig, policy: Policy) -> list[RigFinding]:
             key, configured, now, policy.certain,
             f"{key}: the config says {shown[0]}, the recording {shown[1]}", TWINS.get(key, ())))
     return found
+
+
+def numbers_within(model: Model, rig: Rig, policy: Policy) -> list[RigFinding]:
+    """Return the numbers that a recording knows better than the config, within their tolerance.
+
+    Twice as well, and apart by more than half a tolerance: what it then takes away is said.
+    """
+    found = []
+    for term in model.terms:
+        one = _configured(term, rig)
+        if one is None or not np.isfinite(term.stddev) or not within_tolerance(term, rig, policy):
+            continue
+        key, configured, now = one
+        spread, sigma = rig.tolerance.log_spread(key), now.stddev / now.value
+        moved = abs(float(np.log(now.value / configured)))
+        if not sigma < 0.5 * spread or moved <= max(policy.varied * sigma, 0.5 * spread):
+            continue
+        shown = side_by_side(configured, now.value, now.stddev, now.unit)
+        reach = "its tolerance" if moved <= spread else "three of its tolerances"
+        found.append(RigFinding(
+            key, configured, now, np.nan, f"{key}: the config says {shown[0]}, the recording "
+            f"{shown[1]}, within {reach}", TWINS.get(key, ())))
+    return found

@@ -221,8 +221,8 @@ def show_diagnosis(found: Diagnosis, written: list[Path], notes: list[str] = (),
     if found.signals:
         to.print(_fit(found))
     show_baselines(to, found.baselines)
-    if settings is not None and LOADLIKE & {effect.name for effect in found.effects}:
-        for line in load_against(found.baselines, settings):
+    if settings is not None:
+        for line in _loads(found, settings):
             to.print(f"[yellow]config[/]: {escape(line)}")
     for finding in found.rig_within:
         to.print(f"[yellow]rig data[/]: {escape(finding.statement)}")
@@ -238,6 +238,14 @@ def show_diagnosis(found: Diagnosis, written: list[Path], notes: list[str] = (),
         to.print(escape(text), style="dim")
     note = COMPARED if found.references else DIAGNOSED
     print_end(to, note if found.before or found.after else "", written)
+
+
+def _loads(found: Diagnosis, settings: Settings) -> list[str]:
+    """Return what a load that is named, or makes half of what the config leaves, may be."""
+    if LOADLIKE & {effect.name for effect in found.effects}:
+        return load_against(found.baselines, settings)
+    force = None if found.references else found.signals.get("force")
+    return [] if force is None else load_against(found.baselines, settings, force.before_rms)
 
 
 def _print_place(to: Console, found: Diagnosis) -> None:

@@ -25,6 +25,8 @@ MOSTLY = 0.5  # of the samples
 # A noisy value repeats by chance for some samples, a quantised one for longer where the motion is
 # slow.  Longer than this, and than so many times what is usual, is frozen: live and offline.
 SHORTEST_S = 0.25
+STUCK_S = 1.0
+SAME = 1e-12  # of the largest value
 TIMES = 4.0
 USUAL = 0.98  # quantile of a motion's steps, and by share of its time of its pauses
 JUMPED = 5.0  # usual steps by which a frozen value is left: a piston goes on from where it stood
@@ -66,6 +68,10 @@ def held(recording: Recording) -> tuple[ChannelFinding, ...]:
             runs, values, span, name)
         if said:
             found.append(ChannelFinding(f"{name} {said}", "hold", (name,)))
+    for name in (*LOOKED_AT, "omega"):
+        if said := _stuck(name, channels, recording.sample_time, piece.start
+                          * recording.sample_time):
+            found.append(ChannelFinding(said, "hold", (name,)))
     whole = {name: np.asarray(values, dtype=float)
              for name, values in recording.channels.items() if name in ("x", "p1", "p2", "omega")}
     if said := _frozen(whole, recording.sample_time):
@@ -106,10 +112,35 @@ def _frozen(channels: dict[str, np.ndarray], dt: float) -> str:
             "jumps: a frozen sensor, or a logger that repeats its last value")
 
 
+def _stuck(name: str, channels: dict[str, np.ndarray], dt: float, begins: float) -> str:
+    """Return where a channel stays at one value while others move, in words, or "".
+
+    Far longer than at any other time, and between its extremes: a chamber stays at the source's
+    pressure, and a drive at its limit.
+    """
+    values = channels.get(name)
+    if values is None or np.isfinite(values).sum() < FEWEST:
+        return ""
+    runs, (low, high) = _still_while_others_move(name, channels), (
+        np.nanmin(values), np.nanmax(values))
+    if not len(runs.starts):
+        return ""
+    longest = int(np.argmax(runs.lengths))
+    at, lasts = runs.values[longest], float(runs.lengths[longest]) * dt
+    usual = float(runs.lengths[runs.values != at].max(initial=0)) * dt  # a gap may part it
+    if not is_frozen(lasts, usual, STUCK_S) or min(at - low, high - at) < MOVED * (high - low):
+        return ""
+    return (f"{name} stands still at {begins + runs.starts[longest] * dt:.2f}–"
+            f"{begins + runs.stops[longest] * dt:.2f} s while other channels move: a frozen "
+            "sensor, or a logger that repeats its last value")
+
+
 def _still_while_others_move(name: str, channels: dict[str, np.ndarray]) -> _Runs:
     """Return the runs of equal samples of a channel in which a measured channel moves."""
     values = channels[name]
-    edges = np.flatnonzero(np.r_[True, values[1:] != values[:-1], True])
+    # What a resampling to another grid makes of a constant differs in the last digits.
+    same = SAME * np.nanmax(np.abs(values), initial=0.0)
+    edges = np.flatnonzero(np.r_[True, ~(np.abs(np.diff(values)) <= same), True])
     runs = _Runs(edges[:-1], edges[1:], values[edges[:-1]])
     runs = runs.of((runs.lengths >= FEWEST) & np.isfinite(runs.values))
     moved = np.zeros(len(runs.starts), dtype=bool)
@@ -119,8 +150,9 @@ def _still_while_others_move(name: str, channels: dict[str, np.ndarray]) -> _Run
         theirs = channels[other]
         least = max(MOVED * float(np.nanmax(theirs) - np.nanmin(theirs)),
                     MOVES * _noise(theirs)) if np.isfinite(theirs).any() else np.inf
-        moved |= np.array([np.ptp(theirs[a:b]) > least for a, b in zip(
-            runs.starts, runs.stops, strict=True)])
+        moved |= np.array([
+            np.nanmax(part, initial=-np.inf) - np.nanmin(part, initial=np.inf) > least
+            for part in map(theirs.__getitem__, map(slice, runs.starts, runs.stops))])
     return runs.of(moved)
 
 

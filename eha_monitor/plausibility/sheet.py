@@ -28,12 +28,18 @@ def against_sheet(first: Baseline, settings: Settings) -> list[str]:
     return [*_sizes(first, settings), *load_against((first,), settings)]
 
 
-def load_against(views: Sequence[Baseline], settings: Settings) -> list[str]:
+def load_against(views: Sequence[Baseline], settings: Settings,
+                 left: float | None = None) -> list[str]:
     """Return what is to be written where a constant load is not the config's: one line, or none.
 
     Of several recordings only where all have the same load; the first is told.
     F = A1 p1 - A2 p2 = ... + F_0: zeros of the pressures that are off read as a load, and so does
     the air that presses on the rod's own section, p_a (A1 - A2).
+
+    Parameters
+    ----------
+    left : rms that the config leaves of the force, N, where no load is named: one that makes
+        half of it is told, also where areas within their tolerance may read so.
     """
     if not views or any(one.force is None or not one.force.error_share < OPEN for one in views):
         return []
@@ -44,7 +50,10 @@ def load_against(views: Sequence[Baseline], settings: Settings) -> list[str]:
         return []
     load, given = first.force["F_0"], effects.get("constant_load", {}).get("F_0", 0.0)
     more = load.value - given
-    if not load.determined or abs(more) <= APART * hypot(load.stddev, first.leaning):
+    beyond = APART * hypot(load.stddev, first.leaning)
+    leans = abs(more) <= beyond
+    if not load.determined or abs(more) <= (
+            beyond if left is None else max(APART * load.stddev, 0.5 * left)):
         return []
     had = quantity(given, load.unit, 4) if given else "none"
     said = (f"constant load {with_uncertainty(load.value, load.stddev, load.unit)}, where the "
@@ -58,7 +67,9 @@ def load_against(views: Sequence[Baseline], settings: Settings) -> list[str]:
     air = rig.ambient_pressure * (rig.area_1 - rig.area_2)
     rod = (f"; {quantity(air, load.unit, 3)} is what the open air does to the end of the rod"
            if not given and abs(air) > APART * load.stddev and rig.motion == "linear" else "")
-    return [f"{said}; a {zeros[0]}, or a {zeros[1]}, reads so too (offset of the channel){rod}"]
+    areas = ", and so may areas within their tolerance" if leans else ""
+    return [f"{said}; a {zeros[0]}, or a {zeros[1]}, reads so too (offset of the channel){areas}"
+            f"{rod}"]
 
 
 def _sizes(first: Baseline, settings: Settings) -> list[str]:

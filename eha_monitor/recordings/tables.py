@@ -114,6 +114,8 @@ def _csv(path: Path, table: Table, wanted: list[str]) -> dict[str, np.ndarray]:
     except (OSError, ValueError, EOFError, zlib.error) as problem:  # pandas' are ValueErrors
         what = " ".join(str(problem).split())[:120]
         raise InputError(f"{path}: expected a CSV file: {what}") from problem
+    if len(frame) > 1 and not frame.iloc[-1, -1] and frame.iloc[-2, -1]:
+        frame = frame[:-1]  # the logger was stopped in the middle of a line, and of a number
     names = [str(name).strip().lstrip("\ufeff") for name in frame.columns]
     found = {}
     for name in wanted:
