@@ -99,7 +99,8 @@ def against(machine: Machine, recordings: Sequence[Recording], settings: Setting
     return Diagnosis(
         tuple(one.source for one in recordings), verdict,
         _message(verdict, changes, judged, _runs(machine), tuple(
-            _in_share(one, _change(one, machine, settings, stiffness)) for one in judged.small)),
+            _in_share(one, _change(one, machine, settings, stiffness)) for one in judged.small
+            if one.candidate.balance not in {change.balance for change in changes})),
         where, effects,
         _health(machine, judged, stiffness, before=True),
         _health(machine, judged, stiffness, before=False),
@@ -332,7 +333,8 @@ def _message(verdict: str, changes: Sequence[Change], judged: Judged, runs: str,
     small : statements of what surely differs but is too small to matter.
     """
     if changes:
-        return "; ".join(one.statement + _or_a_sensor(one) for one in changes)
+        said = "; ".join(one.statement + _or_a_sensor(one) for one in changes)
+        return f"{said}; what else differs is small: {'; '.join(small)}" if small else said
     if verdict == "consistent" and small:
         return f"what differs is too small to be called a change: {'; '.join(small)}"
     if verdict == "consistent":
