@@ -28,6 +28,10 @@ _OWN = (False,) * SLOTS
 _HAS_TERM = np.array([*(effect.term is not no_term for effect in _EFFECTS), *(True,) * SLOTS])
 _HAS_UPDATE = np.array([*(effect.update is not no_update for effect in _EFFECTS), *_OWN])
 _HAS_PLACE = np.array([*(effect.remembers_place for effect in _EFFECTS), *_OWN])
+# Place in theta of the displacement over which a friction turns over; 0 there needs no memory.
+_TURNS_OVER = np.array([*(next((N_BASE + which * MAX_PARAMETERS + i for i, p in enumerate(
+    effect.parameters) if effect.remembers_place and p.name == "z_0"), -1)
+    for which, effect in enumerate(_EFFECTS)), *(-1,) * SLOTS])
 _HAS_CIRCUIT = np.array([*(effect.circuit is not no_circuit for effect in _EFFECTS), *_OWN])
 
 
@@ -112,6 +116,9 @@ def with_term(active):
 def with_update(active, theta):
     """Return the places of the active effects that remember, ascending."""
     have = _HAS_UPDATE.copy()
+    for which in range(N_EFFECTS):
+        if _TURNS_OVER[which] >= 0 and theta[_TURNS_OVER[which]] <= 0.0:
+            have[which] = False
     for i in range(SLOTS):
         have[N_EFFECTS - SLOTS + i] = turns(theta[FIRST_OWN + i * WIDTH : FIRST_OWN
                                                   + (i + 1) * WIDTH])
