@@ -54,6 +54,15 @@ def test_csv(tmp_path, delimiter, header):
     assert recording.losses == ()
 
 
+@pytest.mark.parametrize("cut", [1, 5, 9])
+def test_a_line_that_is_cut_at_the_end_is_no_row(tmp_path, cut):
+    """A logger that is killed leaves half a line, and half a number: 1 mm in place of 105."""
+    path, text = tmp_path / "a.csv", text_of(",", True)
+    last = text.rstrip().splitlines()[-1]
+    path.write_text(text + last[:len(last) - cut].rpartition(",")[0][:-1])
+    check(read_table(path, BY_NAME))
+
+
 def test_packed_decimal_comma_and_byte_order_mark(tmp_path):
     path = tmp_path / "a.csv.gz"
     with gzip.open(path, "wb") as file:

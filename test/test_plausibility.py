@@ -16,6 +16,7 @@ from rig_tools import MULTISINE, TRIANGLE, fed, motion, settings
 from eha_monitor import cli
 from eha_monitor.errors import InputError
 from eha_monitor.physics.simulator import Simulator
+from eha_monitor.plausibility.held import held
 from eha_monitor.plausibility.judge import (
     corrected,
     plausibility_of,
@@ -482,6 +483,29 @@ def test_a_frozen_position_is_told_with_its_interval():
                if "stands still" in one.finding]
     a, b = (float(one) for one in line.split(" at ")[1].split(" s ")[0].split("–"))
     assert (a, b) == pytest.approx((first / n, first / n + 1.0), abs=0.02)
+
+
+@pytest.mark.parametrize("gap", [False, True])
+@pytest.mark.parametrize("name", ["p1", "omega"])
+def test_a_channel_that_stays_far_longer_than_ever_is_told(name, gap):
+    """Half of a recording of one pressure had no word; to its end there is no jump either."""
+    recording, _ = SECOND
+    values, n = recording.channels[name].copy(), round(1.0 / recording.sample_time)
+    first = len(values) // 2
+    values[first:] = 0.5 * (np.nanmin(values) + np.nanmax(values))
+    if gap:  # which a resampling leaves
+        values[first + n // 2:first + n // 2 + 4] = np.nan
+    frozen = replace(recording, channels=recording.channels | {name: values})
+    said = [one for one in held(frozen) if one.channels == (name,)]
+    assert len(said) == 1 and "stands still" in said[0].finding
+    assert held(recording) == ()
+
+
+def test_a_chamber_that_stays_at_the_source_is_not_frozen():
+    recording, _ = SECOND
+    low = np.maximum(recording.channels["p1"], np.median(recording.channels["p1"]))
+    assert not [one for one in held(replace(
+        recording, channels=recording.channels | {"p1": low})) if "frozen" in one.finding]
 
 
 def test_a_rig_at_rest_has_no_frozen_position():

@@ -92,12 +92,13 @@ class Table:
 
     @property
     def first_half(self) -> np.ndarray:
-        """Which blocks are of the first half, (b,) bool: pairs by the sequence of Thue and Morse.
+        """Which blocks are of the first half, (b,) bool: pairs in a random order.
 
         Every other pair has one direction only of a motion whose period is that of the pairs.
         """
-        return np.array([pair.bit_count() % 2 == 0 for pair in
-                         (np.arange(len(self.numbers)) // 2).tolist()], dtype=bool)
+        pairs = np.arange(len(self.numbers)) // 2
+        order = np.random.default_rng(0).permutation(int(pairs.max(initial=-1)) + 1)
+        return order[pairs] % 2 == 0
 
     @cached_property
     def n(self) -> int:
