@@ -27,6 +27,8 @@ from eha_monitor.estimation.results import (
     ParameterEstimate,
     Stage,
     StageResult,
+    Taint,
+    stands,
     units_of,
 )
 from eha_monitor.estimation.stages import Changes, run_stage_one_kernel, run_stage_two_kernel
@@ -90,7 +92,8 @@ def estimate_held(recording: Recording, settings: Settings, size: int | None = N
     since = max((int(row[0]) + 1 for row in seen), default=0)
     joint = run_joint(inputs, recording, settings, one, two, since)
     status = model_status((one.consistency, two.consistency), joint)
-    if status.status != "mismatch":
+    known = any(stage.estimate.status == "converged" for stage in (one, two))
+    if status.status == "consistent" or (status.status == "not_judged" and not known):
         beside = ()
     elif not beside:
         beside = tuple(along(recording, settings))
@@ -298,15 +301,21 @@ def tested_model(status: ModelStatus, stages: tuple[StageResult, StageResult],
     status : the verdict alone.
     beside : least squares along the recording; what stands of them at its end.
     """
-    if status.status != "mismatch":
+    if status.status == "consistent":
         return status
+    now = beside[-1].time_s if beside else 0.0
+    if status.status == "not_judged":
+        return replace(status, tainted={
+            name: Taint("nothing has tested the model on this recording: it needs more samples, "
+                        "or more motion", 0.0, instead=stands(beside, now, name))
+            for name in (one.estimate.name for one in stages
+                         if one.estimate.status == "converged")})
     found = [Mismatch.of(stage.stage, v) for stage in stages
              if (v := stage.consistency) is not None and not v.consistent]
     if not found:
         found = [Mismatch("joint", BALANCE["joint"], 0.0, np.nan, np.nan, np.nan, status.message)]
     return replace(status, mismatches=tuple(found), tainted=tainted_by(
-        found, {stage.estimate.name: stage.estimate for stage in stages}, beside,
-        beside[-1].time_s if beside else 0.0))
+        found, {stage.estimate.name: stage.estimate for stage in stages}, beside, now))
 
 
 def warnings_of(inputs: Inputs, settings: Settings) -> list[str]:

@@ -141,8 +141,8 @@ def same_numbers(one: str, values: np.ndarray, other: str, others: np.ndarray, s
     if names & {"x_d", "omega_d"} and names & {"p1", "p2", "force"}:
         level = others - others.mean()
         power = float(level @ level)
-        if not 0.0 < power < OVERFLOWS:
-            return False
+        if not 0.0 < power < OVERFLOWS or np.ptp(values) <= SAME * span:
+            return False  # what stands still is no other's numbers
         others = values.mean() + float(level @ (values - values.mean())) / power * level
     return bool(np.mean(np.abs(values - others) <= SAME * span) > 0.95)
 

@@ -222,7 +222,10 @@ def likelihood(experiment: Experiment, base: Base, rival: Rival, size: float, la
     slopes = [passed(parts) for parts, _ in base.slopes]
     moved = e
     for _ in range(REFITS):
-        w = whitener(covariance_of(moved))
+        try:
+            w = whitener(covariance_of(moved))
+        except np.linalg.LinAlgError:  # the innovations have become one curve in two channels
+            return reached
         d = np.stack([(np.nan_to_num(slope) @ w.T).ravel() for slope in slopes], axis=1)
         prior = np.diag([1.0 / deviation for _, deviation in base.slopes])
         right = np.concatenate([-(np.nan_to_num(e) @ w.T).ravel(), np.zeros(len(slopes))])
