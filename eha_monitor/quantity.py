@@ -20,8 +20,8 @@ from typing import TypeVar
 FLOOR = 3e-4  # of the value; no ± is written smaller
 NOTE = ("± is one standard deviation due to noise, shown as at least "
         f"{100 * FLOOR:g} % of the value. Errors of the configured rig data add "
-        "to it: areas that are 10 % off bias B by 10 %, volumes or a mass 10 % off bias βe by "
-        "10 %.")
+        "to it: areas that are 10 % off bias B by 10 %, and by 10 % of a load over the speed; "
+        "volumes or a mass 10 % off bias βe by 10 %.")
 DIAGNOSED = ("± is one standard deviation due to noise and the tolerances of the configured rig "
              "data (rig.tolerance), shown as at least "
              f"{100 * FLOOR:g} % of the value.")

@@ -48,6 +48,8 @@ ABOVE = 1.3  # times a fitted B: quadratic friction adds to it at the highest sp
 PULL = 1.0  # rad/s for a metre: what stands for K_pos where the wanted speed is recorded
 LOOSE = 0.01  # of the pressure noise squared: what an unknown course of the demand may do
 
+SMOOTH, JAGGED = 2e-5, 5e-3  # of a logarithm: over the first, ridges of two numbers stay ridges
+
 
 @dataclass(frozen=True)
 class Experiment:
@@ -74,6 +76,7 @@ class Experiment:
     windows : the stretches are windows of longer recordings.
     without : effects of the catalogue that are not considered.
     policy : the numbers that decide what is named.
+    log_step : of a parameter's logarithm, over which a slope is taken.
     """
 
     settings: Settings
@@ -97,6 +100,7 @@ class Experiment:
     windows: bool = False
     without: tuple[str, ...] = ()
     policy: SearchPolicy = POLICY
+    log_step: float = SMOOTH
 
     @property
     def n(self) -> int:

@@ -251,10 +251,13 @@ def sensitivities(experiment: Experiment, theta: np.ndarray, active: np.ndarray,
     return spread(one, moved)
 
 
-def step_of(f: Free, theta: np.ndarray) -> tuple[np.ndarray, float]:
-    """Return theta with one parameter moved by a small step, and the step's length."""
+def step_of(f: Free, theta: np.ndarray, log_step: float) -> tuple[np.ndarray, float]:
+    """Return theta with one parameter moved by a small step, and the step's length.
+
+    ``log_step`` : of a logarithm (:attr:`Experiment.log_step`).
+    """
     now = f.inward(theta[f.place])
-    step = 1e-3 * f.spread if not f.log else 2e-5
+    step = 1e-3 * f.spread if not f.log else log_step
     step = max(step, 1e-5 * abs(now)) if not f.log else step
     other = theta.copy()
     if f.outward(now + step) >= f.upper:

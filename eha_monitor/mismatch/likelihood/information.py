@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from eha_monitor.mismatch.data.experiment import Experiment
+from eha_monitor.mismatch.data.experiment import SMOOTH, Experiment
 from eha_monitor.mismatch.likelihood.fit import (
     Fit,
     free_run,
@@ -127,7 +127,7 @@ def free_slopes(fit: Fit, model: Model | None = None, names: Sequence[str] = ())
     theta, active = model or (fit.theta, fit.active)
     found = []
     for i, f in enumerate(fit.free):
-        other, step = step_of(f, theta)
+        other, step = step_of(f, theta, SMOOTH)
         if model is not None and min(abs(theta[f.place] - f.lower), abs(
                 theta[f.place] - f.upper)) <= 1e-6 * abs(theta[f.place]):
             continue

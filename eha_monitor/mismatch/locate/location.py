@@ -188,7 +188,7 @@ def base_of(experiment: Experiment, fit: Fit) -> Base:
                 for stretch in experiment.stretches]
 
     free = [f for f in null.free if f.name in ("B", "beta_e")]
-    moved = [step_of(f, null.theta) for f in free]
+    moved = [step_of(f, null.theta, experiment.log_step) for f in free]
     e, *others = spread(run, [null.theta, *(theta for theta, _ in moved)])
     slopes = [([other - one for other, one in zip(parts, e, strict=True)], f.spread / abs(step))
               for parts, f, (_, step) in zip(others, free, moved, strict=True)]

@@ -141,7 +141,8 @@ def columns_at(experiment: Experiment, fit: Fit, unnamed: bool = True, suspects:
 
     def moved(f: Free, owner: str, variant: int, size: bool = False) -> None:
         """Add a number that the model has."""
-        theta, step = (rig_step if f.of_rig else step_of)(f, fit.theta)
+        theta, step = rig_step(f, fit.theta) if f.of_rig else step_of(
+            f, fit.theta, experiment.log_step)
         now = f.inward(fit.theta[f.place])
         what.append(Column(owner, variant, f.name, (f.prior - now) / f.spread,
                            (f.inward(f.lower) - now) / f.spread,

@@ -132,7 +132,7 @@ def _polished(experiment: Experiment, fit: Fit, known: dict[str, np.ndarray], st
             return
         plain = innovations(rough, theta, fit.active, fit.gains)
         fresh = sensitivities(rough, theta, fit.active, fit.gains, plain,
-                              [step_of(free[i], theta) for i in which])
+                              [step_of(free[i], theta, experiment.log_step) for i in which])
         for i, slope in zip(which, fresh, strict=True):
             d[i] = np.nan_to_num(slope)
 

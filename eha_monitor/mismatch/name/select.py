@@ -6,10 +6,19 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from eha_monitor import ties
-from eha_monitor.mismatch.data.experiment import Experiment, resolving
+from eha_monitor.mismatch.data.experiment import JAGGED, SMOOTH, Experiment, resolving
 from eha_monitor.mismatch.data.inputs import FORCED
 from eha_monitor.mismatch.likelihood.along import filtered_tracks
-from eha_monitor.mismatch.likelihood.fit import Fit, remade, spread, with_unknowns
+from eha_monitor.mismatch.likelihood.fit import (
+    Fit,
+    innovations,
+    remade,
+    sensitivities,
+    spread,
+    step_of,
+    whitener,
+    with_unknowns,
+)
 from eha_monitor.mismatch.name.before import FirstView, informative
 from eha_monitor.mismatch.name.candidates import candidate
 from eha_monitor.mismatch.name.columns import FAR_OFF, LOOSE, rig_free
@@ -493,10 +502,28 @@ def resolved_nominal(experiment: Experiment) -> tuple[Experiment, Fit]:
     while True:
         first = nominal_model(experiment)
         finer = resolving(experiment, first.theta[B])
-        if finer.steps == experiment.steps:
+        if jagged(finer, first):
+            finer = replace(finer, log_step=JAGGED)
+        if (finer.steps, finer.log_step) == (experiment.steps, experiment.log_step):
             found = with_pressures(experiment, first)
             return found, first if found is experiment else with_unknowns(found, first)
         experiment = finer
+
+
+def jagged(experiment: Experiment, fit: Fit) -> bool:
+    """Tell whether the innovations leap with beta_e over a small step, and not over a large one.
+
+    A check valve that opens within an integration step makes them so.  A slope over the small step
+    is then one of leaps: no fit moves, and what it is sure of is nothing.
+    """
+    f = next((one for one in fit.free if one.name == "beta_e"), None)
+    if f is None or experiment.log_step == JAGGED or not np.isfinite(fit.log_likelihood):
+        return False
+    small, large = (np.nan_to_num(slope) @ whitener(fit.s).T for slope in sensitivities(
+        experiment, fit.theta, fit.active, fit.gains, innovations(
+            experiment, fit.theta, fit.active, fit.gains),
+        [step_of(f, fit.theta, step) for step in (SMOOTH, JAGGED)]))
+    return bool(np.linalg.norm(small - large) > np.linalg.norm(large))
 
 
 def with_pressures(experiment: Experiment, fit: Fit) -> Experiment:

@@ -128,7 +128,7 @@ def robust(experiment: Experiment, fit: Fit, of_rig: bool = True) -> Fit:
     w = whitener(fit.s)
     white = np.nan_to_num(fit.e) @ w.T
     slopes = sensitivities(experiment, fit.theta, fit.active, fit.gains, fit.e,
-                           [step_of(f, fit.theta) for f in whole])
+                           [step_of(f, fit.theta, experiment.log_step) for f in whole])
     d = np.stack([np.nan_to_num(slope) @ w.T for slope in slopes])
     length = max(1, round(BLOCK / experiment.dt))
     count = max(1, white.shape[0] // length)
