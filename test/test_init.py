@@ -462,6 +462,9 @@ def test_a_load_becomes_an_effect_that_the_model_has():
     assert float(effects["constant_load"].value[6:-1]) == pytest.approx(201.3, rel=1e-3)
     _, effects, _ = entries("load=spring", "spring=8 N/mm", "spring_rest=-5 mm")
     assert effects["spring_load"].value == "{k: 8000.0, x_0: -0.005}"
+    # As x reads, like the middle of the stroke: 3000 N too much on a stranger's rig.
+    _, effects, _ = entries("load=spring", "spring=8 N/mm", "spring_rest=100 mm", "zero=100 mm")
+    assert effects["spring_load"].value == "{k: 8000.0, x_0: 0.0}"
     assert settings_from_tree({"effects": {"spring_load": {"k": 8e3, "x_0": -5e-3}}}, "a")
     assert not entries("load=unknown")[1]
 

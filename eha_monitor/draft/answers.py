@@ -19,7 +19,7 @@ SHEET = {"bore": ("m", "bore of the cylinder"), "rod": ("m", "diameter of the ro
          "line_volume": ("m³", "oil in the line to one chamber"),
          "inclination": ("rad", "inclination of the axis, positive if growing x lifts the load"),
          "spring": ("N/m", "stiffness of the spring that the load is"),
-         "spring_rest": ("m", "position at which that spring is relaxed")}
+         "spring_rest": ("m", "what x reads where that spring is relaxed")}
 SIGNED = {"inclination": 0.5001 * pi, "spring_rest": 10.0}  # largest, either sign
 SUCH_AS = {"inclination": "20 deg", "spring_rest": "40 mm"}
 # Smallest and largest of any actuator that turns or travels, SI, beside those of the config's own

@@ -34,7 +34,7 @@ QUESTIONS = {
             "linkage, a process)",
     "inclination": "inclination of the axis, such as 20 deg, positive if growing x lifts the load",
     "spring": "stiffness of the spring, such as 8000 N/m",
-    "spring_rest": "position at which the spring is relaxed, such as 0 mm",
+    "spring_rest": "what x reads where the spring is relaxed, such as 0 mm",
     "zero": "x = 0 of the position lies at the middle of the stroke, or at the end with the rod "
             "retracted or extended; or what x reads in the middle, such as 137 mm",
     "pressures": "pressures are absolute or gauge (0 bar in the open air); absolute until told",
@@ -331,7 +331,8 @@ def effects_of(answers: Answers, entries: list[Entry], seen: Seen) -> list[Entry
         found.append(Entry("constant_load", f"{{F_0: {number(weight + air)}}}",
                            f"answered: {' and '.join(words)}, N against growing x"))
     if load == "spring" and spring:
-        rest = answers.number("spring_rest") or 0.0
+        rest = (answers.number("spring_rest") or 0.0) - (
+            (answers.middle() or 0.0) if "spring_rest" in answers.rig else 0.0)
         found.append(Entry("spring_load", f"{{k: {number(spring)}, x_0: {number(rest)}}}",
                            f"answered: {answers.rig['spring']}, relaxed at "
                            f"{answers.rig.get('spring_rest', 'x = 0')}"))

@@ -140,6 +140,7 @@ SPREAD = {"mass": 0.15, "damping": 0.7, "guessed": 2.0, "flow": 0.10, "drive": 0
 # somebody wrote.
 OTHER_CLOCK = 6.0
 OIL = (5e6, 5e9)  # Pa: no oil is stiffer, and none softer that still moves a piston
+NOTHING = 300.0  # times the mass, which no two mistakes make of one
 SLIGHT = 0.02  # of the motion: a lag below this may be a feed-forward's lead
 # A relation whose left side is explained but for a share u counts FIT ln u: as many independent
 # samples as a motion has corners, not as many as the recording has.
@@ -252,8 +253,9 @@ def force_balance(reading: Reading) -> list[Check] | None:
         mass = reading.rig["mass"]
         unit = "kg·m²" if reading.rotary else "kg"
         # Friction and oil that the motion does not explain draw a slope of their own: one that is
-        # too large, and explains less than they leave, is no mass.
-        theirs = inertia.slope > mass and inertia.rho**2 < 0.5
+        # too large, and explains less than they leave, is no mass; nor is one that is hundreds of
+        # times too large, and backwards, in a stroke that hardly accelerates.
+        theirs = (inertia.slope > mass and inertia.rho**2 < 0.5) or inertia.slope < -NOTHING * mass
         penalty = 0.0 if theirs else cost(inertia.slope / mass, inertia.rho, SPREAD["mass"])
         found.append(Check("inertia", penalty, Phrase(
             f"{name} over acceleration is a mass of {figure(inertia.slope)} {unit} where the "
