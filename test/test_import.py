@@ -76,6 +76,16 @@ def test_index_works_with_a_header_too(tmp_path):
     check(read_table(path, BY_INDEX))
 
 
+def test_a_channel_at_half_the_rate_is_read_as_import_does(tmp_path):
+    """Every other cell of a slower logger is empty: that left no two channels together."""
+    lines = text_of().splitlines()
+    lines[2::2] = [line.rpartition(",")[0] + "," for line in lines[2::2]]
+    (tmp_path / "a.csv").write_text("\n".join(lines))
+    recording = read_table(tmp_path / "a.csv", BY_NAME)
+    p1 = recording.channels["p1"][1:-1]
+    np.testing.assert_allclose(p1, (21 + X[1:1 + len(p1)]) * 1e5, atol=50.0)
+
+
 def test_garbage_cells_are_nan_and_counted(tmp_path):
     lines = text_of().splitlines()
     for row, cell in ((11, "n/a"), (12, ""), (13, "1e400")):
