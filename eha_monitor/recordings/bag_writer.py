@@ -315,9 +315,18 @@ class BagWriter:
             self.last = stamp_ns
 
     def write_many(self, channels: dict[str, tuple[np.ndarray, np.ndarray]]) -> None:
-        """Append messages of topics: rising log times (m,) ns and messages (m, length) uint8."""
-        self._writer.add_messages([Messages(self._ids[topic], times, data)
-                                   for topic, (times, data) in channels.items()])
+        """Append messages of topics: rising log times (m,) ns and messages (m, length) uint8.
+
+        Raises
+        ------
+        InputError
+            If the disk takes no more.
+        """
+        try:
+            self._writer.add_messages([Messages(self._ids[topic], times, data)
+                                       for topic, (times, data) in channels.items()])
+        except OSError as problem:
+            raise InputError(f"{self.path}: cannot write bag: {problem.strerror}") from problem
         for topic, (times, _) in channels.items():
             if len(times):
                 self.counts[topic] += len(times)
