@@ -68,7 +68,7 @@ def held(recording: Recording) -> tuple[ChannelFinding, ...]:
             runs, values, span, name)
         if said:
             found.append(ChannelFinding(f"{name} {said}", "hold", (name,)))
-    for name in (*LOOKED_AT, "omega"):
+    for name in LOOKED_AT:
         if said := _stuck(name, channels, recording.sample_time, piece.start
                           * recording.sample_time):
             found.append(ChannelFinding(said, "hold", (name,)))
@@ -116,12 +116,13 @@ def _stuck(name: str, channels: dict[str, np.ndarray], dt: float, begins: float)
     """Return where a channel stays at one value while others move, in words, or "".
 
     Far longer than at any other time, and between its extremes: a chamber stays at the source's
-    pressure, and a drive at its limit.
+    pressure.  In a steady stroke only the position moves: that is not asked.
     """
     values = channels.get(name)
     if values is None or np.isfinite(values).sum() < FEWEST:
         return ""
-    runs, (low, high) = _still_while_others_move(name, channels), (
+    others = {one: rows for one, rows in channels.items() if one != "x"}
+    runs, (low, high) = _still_while_others_move(name, others), (
         np.nanmin(values), np.nanmax(values))
     if not len(runs.starts):
         return ""
@@ -131,7 +132,7 @@ def _stuck(name: str, channels: dict[str, np.ndarray], dt: float, begins: float)
     if not is_frozen(lasts, usual, STUCK_S) or min(at - low, high - at) < MOVED * (high - low):
         return ""
     return (f"{name} stands still at {begins + runs.starts[longest] * dt:.2f}–"
-            f"{begins + runs.stops[longest] * dt:.2f} s while other channels move: a frozen "
+            f"{begins + runs.stops[longest] * dt:.2f} s while other channels change: a frozen "
             "sensor, or a logger that repeats its last value")
 
 
