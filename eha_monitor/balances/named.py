@@ -9,7 +9,13 @@ from eha_monitor import ties
 from eha_monitor.balances.candidates import DRY, SIDES
 from eha_monitor.balances.model import Model, Term
 from eha_monitor.balances.policy import Policy
-from eha_monitor.mismatch.diagnosis import NamedEffect, RigFinding, Value
+from eha_monitor.mismatch.diagnosis import (
+    NamedEffect,
+    RigFinding,
+    Value,
+    beside_config,
+    within_words,
+)
 from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.quantity import quantity, share, side_by_side, to_digits, with_uncertainty
 from eha_monitor.settings.monitor import Settings
@@ -263,10 +269,8 @@ def wrong_numbers(model: Model, rig: Rig, policy: Policy) -> list[RigFinding]:
         key, configured, now = one
         if key == "leakage" or (key == "mass" and (term.value > 0.0 or not term.named)):
             continue  # more of either is an effect of the catalogue
-        shown = side_by_side(configured, now.value, now.stddev, now.unit)
-        found.append(RigFinding(
-            key, configured, now, policy.certain,
-            f"{key}: the config says {shown[0]}, the recording {shown[1]}", TWINS.get(key, ())))
+        found.append(RigFinding(key, configured, now, policy.certain,
+                                beside_config(key, configured, now), TWINS.get(key, ())))
     return found
 
 
@@ -282,12 +286,10 @@ def numbers_within(model: Model, rig: Rig, policy: Policy) -> list[RigFinding]:
             continue
         key, configured, now = one
         spread, sigma = rig.tolerance.log_spread(key), now.stddev / now.value
-        moved = abs(float(np.log(now.value / configured)))
-        if not sigma < 0.5 * spread or moved <= max(policy.varied * sigma, 0.5 * spread):
+        moved = float(np.log(now.value / configured))
+        if not sigma < 0.5 * spread or abs(moved) <= max(policy.varied * sigma, 0.5 * spread):
             continue
-        shown = side_by_side(configured, now.value, now.stddev, now.unit)
-        reach = "its tolerance" if moved <= spread else "three of its tolerances"
         found.append(RigFinding(
-            key, configured, now, np.nan, f"{key}: the config says {shown[0]}, the recording "
-            f"{shown[1]}, within {reach}", TWINS.get(key, ())))
+            key, configured, now, np.nan, f"{beside_config(key, configured, now)}, "
+            f"{within_words(moved, spread)}", TWINS.get(key, ())))
     return found

@@ -17,7 +17,7 @@ from eha_monitor.health.alarms import BALANCES, NO_LIMIT, NOT_JUDGED, Alarm
 from eha_monitor.indicators.indicator import AVAILABLE, NEEDS, NONE, NOT_LOOKED_FOR, Indicator
 from eha_monitor.mismatch.diagnosis import Diagnosis
 from eha_monitor.plausibility.sheet import against_sheet, load_against
-from eha_monitor.quantity import COMPARED, DIAGNOSED, NOTE, SYMBOLS, number
+from eha_monitor.quantity import NOTE, SYMBOLS, number
 from eha_monitor.reports import diagnosis_words as words
 from eha_monitor.settings import Settings
 from eha_monitor.words import listed, probability
@@ -236,8 +236,7 @@ def show_diagnosis(found: Diagnosis, written: list[Path], notes: list[str] = (),
             to.print(f"[yellow]{title}[/]: {escape(words.sentence(text))}")
     for text in filter(None, (words.certainty(found), words.windows_words(found))):
         to.print(escape(text), style="dim")
-    note = COMPARED if found.references else DIAGNOSED
-    print_end(to, note if found.before or found.after else "", written)
+    print_end(to, words.footnote(found) if found.before or found.after else "", written)
 
 
 def _loads(found: Diagnosis, settings: Settings) -> list[str]:

@@ -7,7 +7,7 @@ import numpy as np
 
 from eha_monitor.balances.baseline import Baseline
 from eha_monitor.balances.machine import Machine
-from eha_monitor.quantity import quantity
+from eha_monitor.quantity import quantity, side_by_side
 from eha_monitor.recordings.recording import ChannelFinding
 from eha_monitor.words import effect_words
 
@@ -75,6 +75,17 @@ class RigFinding:
     probability: float
     statement: str
     indistinguishable_from: tuple[str, ...] = ()
+
+
+def beside_config(key: str, configured: float, found: Value) -> str:
+    """Return what the config says of a number of the rig, and what the recording, in words."""
+    one, other = side_by_side(configured, found.value, found.stddev, found.unit)
+    return f"{key}: the config says {one}, the recording {other}"
+
+
+def within_words(moved: float, spread: float) -> str:
+    """Return within what a number lies: its logarithm off by ``moved``, known to ``spread``."""
+    return f"within {'its tolerance' if abs(moved) <= spread else 'three of its tolerances'}"
 
 
 @dataclass(frozen=True)

@@ -28,10 +28,6 @@ _OWN = (False,) * SLOTS
 _HAS_TERM = np.array([*(effect.term is not no_term for effect in _EFFECTS), *(True,) * SLOTS])
 _HAS_UPDATE = np.array([*(effect.update is not no_update for effect in _EFFECTS), *_OWN])
 _HAS_PLACE = np.array([*(effect.remembers_place for effect in _EFFECTS), *_OWN])
-# Place in theta of the displacement over which a friction turns over; 0 there needs no memory.
-_TURNS_OVER = np.array([*(next((N_BASE + which * MAX_PARAMETERS + i for i, p in enumerate(
-    effect.parameters) if effect.remembers_place and p.name == "z_0"), -1)
-    for which, effect in enumerate(_EFFECTS)), *(-1,) * SLOTS])
 _HAS_CIRCUIT = np.array([*(effect.circuit is not no_circuit for effect in _EFFECTS), *_OWN])
 
 
@@ -42,6 +38,12 @@ def slot_of(which: int) -> slice:
         return slice(start, start + MAX_PARAMETERS)
     start = FIRST_OWN + (which - len(NAMES)) * WIDTH
     return slice(start, start + WIDTH)
+
+
+# Place in theta of the displacement over which a friction turns over; 0 there needs no memory.
+_TURNS_OVER = np.array([*(next((slot_of(which).start + i for i, p in enumerate(effect.parameters)
+                                if effect.remembers_place and p.name == "z_0"), -1)
+                          for which, effect in enumerate(_EFFECTS)), *(-1,) * SLOTS])
 
 
 def _parameters(which: int) -> str:

@@ -13,7 +13,7 @@ from eha_monitor.indicators.indicator import Indicator
 from eha_monitor.mismatch import diagnosis
 from eha_monitor.mismatch.diagnosis import Diagnosis, Value
 from eha_monitor.physics.effects import CATALOGUE
-from eha_monitor.quantity import COMPARED, DIAGNOSED, SYMBOLS, number, quantity
+from eha_monitor.quantity import SYMBOLS, number, quantity
 from eha_monitor.reports import diagnosis_figures as figures
 from eha_monitor.reports import diagnosis_words as words
 from eha_monitor.reports.figure import Block
@@ -51,7 +51,7 @@ def diagnosis_page(found: Diagnosis, settings: Settings, losses: Sequence[str] =
     curves = figures.informative(found)
     _, statistics = words.advice_in_parts(found)
     return render(
-        "diagnosis.html.j2", plus_minus=COMPARED if found.references else DIAGNOSED,
+        "diagnosis.html.j2", plus_minus=words.footnote(found),
         title=f"EHA diagnosis: {name}", name=name,
         first=_first_screen(found, curves, settings), facts=_facts(found, settings), losses=losses,
         verdict=found.verdict, references=len(found.references), compared=words.compared(found),

@@ -14,6 +14,8 @@ from eha_monitor.mismatch.diagnosis import (
 from eha_monitor.mismatch.policy import POLICY
 from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.quantity import (
+    COMPARED,
+    DIAGNOSED,
     SYMBOLS,
     Scale,
     number,
@@ -442,6 +444,11 @@ def removed(fit: SignalFit) -> float:
     if not beyond > 0.02 * max(noise, 0.0) or not math.isfinite(fit.after_rms):
         return math.nan
     return min((fit.before_rms - fit.after_rms) / beyond, 1.0)
+
+
+def footnote(found: Diagnosis) -> str:
+    """Return what ± is in an answer: a comparison has no tolerances in it."""
+    return COMPARED if found.references else DIAGNOSED
 
 
 def certainty(found: Diagnosis) -> str:

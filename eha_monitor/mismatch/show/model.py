@@ -7,7 +7,15 @@ import numpy as np
 
 from eha_monitor import ties
 from eha_monitor.mismatch.data.experiment import Experiment
-from eha_monitor.mismatch.diagnosis import Agreement, Fitted, NamedEffect, RigFinding, Value
+from eha_monitor.mismatch.diagnosis import (
+    Agreement,
+    Fitted,
+    NamedEffect,
+    RigFinding,
+    Value,
+    beside_config,
+    within_words,
+)
 from eha_monitor.mismatch.likelihood.along import contributed
 from eha_monitor.mismatch.likelihood.fit import Fit, Free, sensitivities, step_of, whitener
 from eha_monitor.mismatch.name.columns import rig_free
@@ -18,7 +26,7 @@ from eha_monitor.physics import signals as s
 from eha_monitor.physics.contributions import N_EFFECTS, circuit_of
 from eha_monitor.physics.effects import CATALOGUE, NAMES
 from eha_monitor.physics.parameters import effect_values
-from eha_monitor.quantity import quantity, share, side_by_side
+from eha_monitor.quantity import quantity, share
 
 # Parameters in seconds that the sensors' own lags cannot be separated from.
 TIMED = ("command_delay.T", "position_delay.T", "pressure_delay.T", "feedback_delay.T",
@@ -289,8 +297,8 @@ def rig_within(experiment: Experiment, naming: Naming) -> tuple[RigFinding, ...]
         moved, sigma = np.log(value.value / configured), value.stddev / value.value
         if sigma < policy.informed * spread and abs(moved) > max(
                 policy.sure * sigma, policy.informed * spread):
-            reach = "its tolerance" if abs(moved) <= spread else "three of its tolerances"
-            found.append(RigFinding(key, configured, value, np.nan, f"{words}, within {reach}"))
+            found.append(RigFinding(key, configured, value, np.nan,
+                                    f"{words}, {within_words(moved, spread)}"))
     return tuple(found)
 
 
@@ -300,5 +308,4 @@ def _told(experiment: Experiment, fit: Fit, key: str) -> tuple[float, Value, str
     unit = type(rig).model_fields[key].json_schema_extra["unit"]
     value = Value(fit.value(name), fit.stddev(name), unit)
     configured = float(getattr(rig, key))
-    one, other = side_by_side(configured, value.value, value.stddev, unit)
-    return configured, value, f"{key}: the config says {one}, the recording {other}"
+    return configured, value, beside_config(key, configured, value)
