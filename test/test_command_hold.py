@@ -14,7 +14,6 @@ from hold_parts.draws import drawn
 from hold_parts.plant import PHYSICS, Motion, Noise, Rig, recorded
 
 from eha_monitor.errors import InputError
-from eha_monitor.estimation.drive import hold_of
 from eha_monitor.estimation.hold_choice import gain_followed, resolved
 from eha_monitor.estimation.pipeline import estimate
 from eha_monitor.estimation.results import NoiseEstimate
@@ -158,15 +157,6 @@ def test_fresh_rigs_are_decided_rightly():
             undecided += [] if decision.decided else [draw]
     assert not [draw.name for draw in wrong if not draw.extras]
     assert len(wrong) <= 2 and len(undecided) <= clean // 3
-
-
-def test_a_held_input_has_a_held_regressor():
-    """Else the parameter is drawn aside by half a sample of the input's change."""
-    u = np.cumsum(np.random.default_rng(0).standard_normal(50))
-    for sigma in (0.0, 0.1):
-        hold = hold_of(u, sigma, sampled=True)
-        assert (hold.end[1:] == u[:-1]).all() and (hold.start == u).all()
-        assert (hold.instrument[1:, 1] == hold.instrument[:-1, 0]).all()
 
 
 def test_the_stated_sigma_behind_a_digital_drive():

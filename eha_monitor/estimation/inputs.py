@@ -122,7 +122,7 @@ class StageInputs:
             model, step = model_for(channels, settings), quantum_of(channels)
             no_force, no_drive = missing(settings, channels)
         measured_force = np.full(len(recording), np.nan)
-        force = drive = Hold(*(measured_force,) * 3, np.full((len(recording), 2), np.nan))
+        force = drive = Hold(*(measured_force,) * 4)
         kept = np.empty((len(recording), 0))
         if no_force is None:
             variance = force_variance(rig, noise, settings.stage_one.force_noise)

@@ -15,9 +15,10 @@ import numpy as np
 
 from eha_monitor.compiled import njit
 from eha_monitor.estimation.discretisation import BETA_0, LOOP, MASS, discretise
-from eha_monitor.estimation.drive import Hold, hold_of
+from eha_monitor.estimation.drive import Hold, hold_of, speed_hold
 from eha_monitor.estimation.inputs import Inputs, Piece, PiecedInputs, inputs_of
 from eha_monitor.estimation.results import (
+    LARGEST_NIS,
     Estimate,
     JointResult,
     ParameterEstimate,
@@ -42,7 +43,6 @@ NARROW = 100.0
 MEDIAN_SQUARE = 0.4549  # of a normal deviate
 IDEAL = 1.5  # variance over that of the noise, sample by sample and in means of 64
 WRONG = 10.0  # NIS above which the joint answer is none
-HONEST = 1.5  # NIS above which the standard deviations grow with its root
 
 
 class RowsJoint(NamedTuple):
@@ -51,7 +51,7 @@ class RowsJoint(NamedTuple):
     Attributes
     ----------
     z, force : (n,) measured position m and force N; NaN where missing.
-    u_start, u_end, Q_u, instrument : (n,), (n, 2) the drive input (:class:`hold.Hold`).
+    u_start, u_end, Q_u : (n,) the drive input and its variance (:class:`drive.Hold`).
     """
 
     z: np.ndarray
@@ -59,7 +59,6 @@ class RowsJoint(NamedTuple):
     u_start: np.ndarray
     u_end: np.ndarray
     Q_u: np.ndarray
-    instrument: np.ndarray
 
 
 class ConstantsJoint(NamedTuple):
@@ -94,12 +93,10 @@ class StateJoint(NamedTuple):
 
 
 class SampleJoint(NamedTuple):
-    """Input and instrument at both ends of a sample, and the input's variance."""
+    """Input at both ends of a sample, and its variance."""
 
     u0: float
     u1: float
-    i0: float
-    i1: float
     Q_u: float
 
 
@@ -150,7 +147,7 @@ def filter_joint(rows, constants, state, first, out):
     rows, constants, state : :class:`RowsJoint`, :class:`ConstantsJoint`, :class:`StateJoint`.
     out : (7, n) written: B, beta_e, leak, innovation and sigma of x, of the force.
     """
-    z, force, u_start, u_end, Q_u, instrument = rows
+    z, force, u_start, u_end, Q_u = rows
     lumped, dt, R_x, R_f, frozen = constants
     x, P, matrices, at = state
     work = np.empty((10, 3, 3))
@@ -165,9 +162,8 @@ def filter_joint(rows, constants, state, first, out):
     for k in range(first, z.shape[0]):
         lost = math.isnan(x[0])
         if not lost and k > 0:
-            sample = SampleJoint(u_start[k - 1], u_end[k], instrument[k - 1, 0], instrument[k, 1],
-                                 Q_u[k])
-            if math.isnan(sample.u0 + sample.u1 + sample.i0 + sample.i1):
+            sample = SampleJoint(u_start[k - 1], u_end[k], Q_u[k])
+            if math.isnan(sample.u0 + sample.u1):
                 lost = True
             else:
                 b, c, leak = x[3], max(x[4], 1e-3), x[5]
@@ -227,16 +223,14 @@ def predict(state, step, sample, F, FP):
     d_c, d_b, d_leak = state.matrices[1], state.matrices[3], state.matrices[4]
     Q_u = sample.Q_u
     y = (x[0], x[1], x[2], sample.u0 - x[6], sample.u1)
-    # What multiplies the parameters, without fresh noise.
-    clean = (x[0], x[1], x[2], sample.i0, sample.i1)
     new = np.zeros(3)
     for i in range(3):
         to_b, to_c, to_l = 0.0, 0.0, 0.0
         for j in range(5):
             new[i] += step[i, j] * y[j]
-            to_b += d_b[i, j] * clean[j]
-            to_c += d_c[i, j] * clean[j]
-            to_l += d_leak[i, j] * clean[j]
+            to_b += d_b[i, j] * y[j]
+            to_c += d_c[i, j] * y[j]
+            to_l += d_leak[i, j] * y[j]
         for j in range(3):
             F[i, j] = step[i, j]
         F[i, 3], F[i, 4], F[i, 5] = to_b, to_c, to_l
@@ -295,13 +289,17 @@ def fits(stage: StageResult) -> bool:
             and stage.consistency.consistent)
 
 
-def speed_hold(recording: Recording, settings: Settings, inputs: Inputs) -> Hold | None:
-    """Return the hold of the measured pump speed, or None."""
+def hold_of_speed(recording: Recording, settings: Settings, inputs: Inputs) -> Hold | None:
+    """Return the hold of the measured pump speed, or None.
+
+    The measured force sees what smoothing leaves of the noise, so all of it passes the oil here.
+    """
     if "omega" not in recording.channels:
         return None
-    sigma = inputs.noise["omega"].value
-    return hold_of(recording.channels["omega"], sigma,
-                   sampled=settings.command_hold == "sampled").with_noise(sigma**2)
+    hold = speed_hold(recording.channels["omega"], inputs.noise["omega"].value,
+                      inputs.model.ringing * inputs.dt,
+                      sampled=settings.command_hold == "sampled")
+    return hold._replace(variance=hold.variance + hold.slow)
 
 
 def drive_is_ideal(recording: Recording, settings: Settings, inputs: Inputs) -> bool:
@@ -364,10 +362,10 @@ def run_joint(inputs: Inputs, recording: Recording, settings: Settings, one: Sta
     for piece in inputs.pieces(recording, since):
         part, rows = piece.inputs, piece.recording
         hold = (hold_of(rows.channels["x_d"], 0.0) if ideal
-                else speed_hold(rows, settings, inputs)).part(piece.within)
+                else hold_of_speed(rows, settings, inputs)).part(piece.within)
         out = np.empty((7, part.rows))
         hold = hold._replace(start=part.moving(hold.start))
-        filter_joint(RowsJoint(part.x, part.moving(part.measured_force), *hold), given, state,
+        filter_joint(RowsJoint(part.x, part.moving(part.measured_force), *hold[:3]), given, state,
                      piece.first, out)
         written.append(out[3:, piece.first:])
     P = state.P
@@ -390,7 +388,7 @@ def joint_result(x: np.ndarray, P: np.ndarray, nis: float, settings: Settings, b
     """Turn the filter's parameters (B, c, leak) into estimates of B, beta_e and C_T."""
     rig = settings.rig
     per_volume = 0.5 * (1 / rig.volume_1 + 1 / rig.volume_2)
-    factor = np.sqrt(nis) if HONEST < nis < WRONG else 1.0
+    factor = np.sqrt(nis) if LARGEST_NIS < nis < WRONG else 1.0
     c = max(x[4], 1e-9)
     scale = np.array([1.0, -beta_0 / c**2, 1.0 / per_volume])
     covariance = P[3:6, 3:6] * np.outer(scale, scale)
@@ -411,7 +409,7 @@ def joint_result(x: np.ndarray, P: np.ndarray, nis: float, settings: Settings, b
     root = np.sqrt(np.diag(covariance))
     return JointResult(estimates, covariance / np.outer(root, root),
                        f"position, pressure force and {words} together, NIS {nis:.3g}",
-                       nis <= WRONG)
+                       nis <= WRONG, nis)
 
 
 COMBINATIONS = (("x", "x_d"), ("x", "omega"), ("x", "p1", "p2"), ("x", "x_d", "p1", "p2"),
@@ -513,7 +511,7 @@ class Bound:
         if "x_d" in self.channels:
             hold = hold_of(rows.channels["x_d"], 0.0)
         else:
-            hold = speed_hold(rows, self.estimate.settings, inputs)
+            hold = hold_of_speed(rows, self.estimate.settings, inputs)
         variance = hold.variance
         if self._still:
             hold = hold_of(np.zeros(len(rows)), 0.0)  # its noise is no motion
@@ -524,7 +522,7 @@ class Bound:
         hold = hold._replace(variance=variance).part(piece.within)
         hold = hold._replace(start=part.moving(hold.start))
         given = ConstantsJoint(self._constants, inputs.dt, inputs.position_variance, R_f, True)
-        filter_joint(RowsJoint(part.x, force, *hold), given, self._state, piece.first,
+        filter_joint(RowsJoint(part.x, force, *hold[:3]), given, self._state, piece.first,
                      np.empty((7, part.rows)))
 
     @property

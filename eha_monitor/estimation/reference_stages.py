@@ -174,6 +174,7 @@ def run_two(rows: two.RowsTwo, constants: two.ConstantsTwo, effects: modelled.Ef
                                    state.at)
     ekf = _filter(state.x, state.P, constants.R)
     work, steps_work, found = modelled.new_work(state.memory), two.new_steps_work(constants.k), 0
+    walk = two.position_walk(constants.k, constants.dt)
     at[two.STEPS] = modelled.steps_in_sample(constants.dt, effects, state.memory, work)
     beside_c = range(len(state.x) - 1)
     places, columns = [place(i) for i in beside_c], [column(i) for i in beside_c]
@@ -188,7 +189,7 @@ def run_two(rows: two.RowsTwo, constants: two.ConstantsTwo, effects: modelled.Ef
         F, g_u, g_f = np.eye(len(new.x)), np.zeros(len(new.x)), np.zeros(len(new.x))
         F[np.ix_(places, places)] = step[:, columns]
         F[places, C_PLACE] = (slope[:, columns] @ ekf.x[places]
-                              + slope[:, 3:7] @ (sample.i0, sample.i1, force, flow))
+                              + slope[:, 3:7] @ (sample.u0, sample.u1, force, flow))
         bend = slope[2, columns]
         lean = bend @ ekf.P[places, C_PLACE]
         noise = (bend @ ekf.P[np.ix_(places, places)] @ bend - lean**2 / ekf.P[C_PLACE, C_PLACE]
@@ -197,17 +198,19 @@ def run_two(rows: two.RowsTwo, constants: two.ConstantsTwo, effects: modelled.Ef
             F[places, C_PLACE] = 0.0
         g_u[places], g_f[places] = step[:, 3] + step[:, 4], step[:, 5]
         sens[:] = new.sens
-        _predict(ekf, F, new.x,
-                 sample.Q_u * np.outer(g_u, g_u) + noise_force * np.outer(g_f, g_f))
+        Q = sample.Q_u * np.outer(g_u, g_u) + noise_force * np.outer(g_f, g_f)
+        Q[0, 0] += sample.Q_x
+        _predict(ekf, F, new.x, Q)
         return True
 
     for k in range(first, len(z)):
         lost = math.isnan(ekf.x[0])
         if not lost and k > 0:
-            sample = two.SampleTwo(rows.u_start[k - 1], rows.u_end[k], rows.instrument[k - 1, 0],
-                               rows.instrument[k, 1], rows.Q_u[k], b[k], rows.leak_flow[k],
-                               rows.mean[k if len(rows.mean) > 1 else 0])
-            lost = math.isnan(sum(sample[:4]) + b[k] + rows.leak_flow[k]) or not advance(sample)
+            sample = two.SampleTwo(rows.u_start[k - 1], rows.u_end[k], rows.Q_u[k],
+                                   walk * rows.slow[k], b[k], rows.leak_flow[k],
+                                   rows.mean[k if len(rows.mean) > 1 else 0])
+            known = sample.u0 + sample.u1 + b[k] + rows.leak_flow[k]
+            lost = math.isnan(known) or not advance(sample)
         if lost:
             at[two.MODELLED_FORCE] = 0.0
         out[6:, k] = math.nan

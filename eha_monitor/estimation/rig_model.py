@@ -1,10 +1,11 @@
 """The rig as the stages take it: constants of the balances, modelled effects, what is lacking."""
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from eha_monitor.estimation.discretisation import LOOP, STIFF, hydraulics
+from eha_monitor.estimation.discretisation import LOOP, MASS, STIFF, hydraulics
 from eha_monitor.estimation.drive import loop_gain, opens_loop
 from eha_monitor.estimation.modelled import Effects, contributions, new_known_memory
 from eha_monitor.estimation.results import NoiseEstimate
@@ -101,6 +102,14 @@ class RigModel:
     def theta(self) -> np.ndarray:
         """(N_THETA,) parameters of rig and effects."""
         return self.effects.theta
+
+    @property
+    def ringing(self) -> float:
+        """Resonance of mass and oil column as configured, rad/s; 0 without its constants."""
+        if self.hydraulics is None:
+            return 0.0
+        return math.sqrt(self.settings.rig.bulk_modulus * self.hydraulics[STIFF]
+                         / self.hydraulics[MASS])
 
 
 def added_by(which: int, theta: np.ndarray) -> set[int]:

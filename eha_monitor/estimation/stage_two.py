@@ -70,8 +70,8 @@ class RowsTwo(NamedTuple):
     Attributes
     ----------
     z : (n,) measured position, m; NaN where missing.
-    u_start, u_end, Q_u, instrument : (n,), (n, 2) the drive input's line over the sample (x_d in
-        m, or omega in rad/s), :class:`hold.Hold`.
+    u_start, u_end, Q_u, slow : (n,) the drive input's line over the sample (x_d in m, or omega
+        in rad/s) and its variances, :class:`drive.Hold`.
     b, b_variance : (n,) damping of stage one and its variance.
     leak_flow : (n,) :func:`rig_model.measured_leakage` over the sample before each; 0 where
         ``ConstantsTwo.leak`` stands for it.
@@ -82,7 +82,7 @@ class RowsTwo(NamedTuple):
     u_start: np.ndarray
     u_end: np.ndarray
     Q_u: np.ndarray
-    instrument: np.ndarray
+    slow: np.ndarray
     b: np.ndarray
     b_variance: np.ndarray
     leak_flow: np.ndarray
@@ -133,13 +133,12 @@ class StateTwo(NamedTuple):
 
 
 class SampleTwo(NamedTuple):
-    """One sample of :class:`RowsTwo`: the input and its instrument at both ends, and the rest."""
+    """One sample of :class:`RowsTwo`; ``Q_x`` (m^2) is what a slow error of the speed moves."""
 
     u0: float
     u1: float
-    i0: float
-    i1: float
     Q_u: float
+    Q_x: float
     b: float
     leak_flow: float
     mean: float
@@ -172,6 +171,12 @@ def new_state_two(k: np.ndarray, c: float, variance: float, frozen: bool = False
     if held:
         state.watch[FROZEN] = HELD
     return state
+
+
+@njit
+def position_walk(k, dt):
+    """Return the variance of the position over that of the pump's speed, kept for a sample."""
+    return (k[GAIN] / k[STIFF] * dt) ** 2
 
 
 @njit
@@ -233,7 +238,7 @@ def predict_with(rows, forceinline):
         """
         x, P, sens = state.x, state.P, state.sens
         step, c_step, d_b = state.matrices[5], state.matrices[6], state.matrices[3]
-        u0, u1, i0, i1 = sample.u0, sample.u1, sample.i0, sample.i1
+        u0, u1 = sample.u0, sample.u1
         force, flow = state.at[CONSTANT_FORCE], state.at[CONSTANT_FLOW]
         Q_f, Q_u = state.at[NOISE_FORCE], sample.Q_u
         F, FP, made = on_stack(n, n), on_stack(n, n), on_stack(3, n)  # F transposed
@@ -241,7 +246,7 @@ def predict_with(rows, forceinline):
             row = place(i)
             new = (step[U0 + i] * u0 + step[U1 + i] * u1 + step[FORCE + i] * force
                    + step[FLOW + i] * flow)
-            slope = (c_step[U0 + i] * i0 + c_step[U1 + i] * i1 + c_step[FORCE + i] * force
+            slope = (c_step[U0 + i] * u0 + c_step[U1 + i] * u1 + c_step[FORCE + i] * force
                      + c_step[FLOW + i] * flow)
             from_b = d_b[U0 + i] * u0 + d_b[U1 + i] * u1
             for j in range(rows):
@@ -283,6 +288,7 @@ def predict_with(rows, forceinline):
                     total += FP[row, k] * F[k, place(j)]
                 P[row, place(j)] = total
                 P[place(j), row] = total
+        P[0, 0] += sample.Q_x
 
     return predict
 
@@ -498,10 +504,10 @@ def run_two(rows, constants, effects, state, first, out, events):
     int
         Number of events.
     """
-    z, u_start, u_end, Q_u, instrument, b, b_variance, leak_flow, mean = rows
+    z, u_start, u_end, Q_u, slow, b, b_variance, leak_flow, mean = rows
     x, P, sens, w, at, k_lumped = (state.x, state.P, state.sens, state.watch, state.at,
                                    constants.k)
-    n, R = z.shape[0], constants.R
+    n, R, walk = z.shape[0], constants.R, position_walk(k_lumped, constants.dt)
     work, steps_work = new_work(state.memory), new_steps_work(k_lumped)
     at[STEPS] = steps_in_sample(constants.dt, effects, state.memory, work)
     mass = k_lumped[MASS]
@@ -512,9 +518,9 @@ def run_two(rows, constants, effects, state, first, out, events):
         lost = math.isnan(x[0])
         if not lost and k > 0:
             i = k if mean.shape[0] > 1 else 0
-            sample = SampleTwo(u_start[k - 1], u_end[k], instrument[k - 1, 0], instrument[k, 1],
-                               Q_u[k], b[k], leak_flow[k], mean[i])
-            lost = math.isnan(sample.u0 + sample.u1 + sample.i0 + sample.i1 + b[k] + leak_flow[k])
+            sample = SampleTwo(u_start[k - 1], u_end[k], Q_u[k], walk * slow[k], b[k],
+                               leak_flow[k], mean[i])
+            lost = math.isnan(sample.u0 + sample.u1 + b[k] + leak_flow[k])
             if not lost:
                 lost = not advance_two(state, sample, constants, effects, True, work, steps_work)
         if lost:
@@ -566,9 +572,9 @@ def log_likelihood_two(rows, constants, effects, c):
     more than a few per cent away may lock on a wrong peak while the oil column rings.  A bank
     of these linear filters finds the right one.  Arguments as :func:`run_two`.
     """
-    z, u_start, u_end, Q_u, instrument, b, _, leak_flow, mean = rows
+    z, u_start, u_end, Q_u, slow, b, _, leak_flow, mean = rows
     state = blank_state_two(constants.k)
-    x, P, R = state.x, state.P, constants.R
+    x, P, R, walk = state.x, state.P, constants.R, position_walk(constants.k, constants.dt)
     work, steps_work = new_work(state.memory), new_steps_work(constants.k)
     state.at[STEPS] = steps_in_sample(constants.dt, effects, state.memory, work)
     x[3] = c
@@ -578,8 +584,8 @@ def log_likelihood_two(rows, constants, effects, c):
     for k in range(z.shape[0]):
         if not lost:
             i = k if mean.shape[0] > 1 else 0
-            sample = SampleTwo(u_start[k - 1], u_end[k], instrument[k - 1, 0], instrument[k, 1],
-                               Q_u[k], b[k], leak_flow[k], mean[i])
+            sample = SampleTwo(u_start[k - 1], u_end[k], Q_u[k], walk * slow[k], b[k],
+                               leak_flow[k], mean[i])
             lost = math.isnan(sample.u0 + sample.u1 + leak_flow[k])
             if not lost:
                 P[3, 3] = 1e-30  # c is fixed here

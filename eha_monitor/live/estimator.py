@@ -11,6 +11,7 @@ import numpy as np
 
 from eha_monitor.balances.parameters import parameters_of
 from eha_monitor.breakdown import begins_anew
+from eha_monitor.estimation.drive import LONGEST, takes_speed
 from eha_monitor.estimation.inputs import (
     REST_S,
     Known,
@@ -62,11 +63,13 @@ from eha_monitor.recordings.recording import LARGEST, Recording
 from eha_monitor.settings.monitor import Settings
 
 PAST = 100  # rows of a batch of the past
-LAG = 6  # rows that the hold looks ahead: five for the instrument, one for its next sample
-CONTEXT = 16  # rows that it looks back
+WARM_S = 60.0  # without data: the oil may be as warm as it was
+LAG = 6  # rows that the hold looks ahead, and spikes; a smoothed speed more
+CONTEXT = 16  # rows that they look back
 NOISE_AGAIN_S = (1.0, 4.0, 10.0)  # after the start; then every 10 s
-# Of the position's variance (256 rows give it to 20 %): older innovations then say nothing.
-OTHER_NOISE = 0.05
+# Of the position's variance (256 rows give it to 20 %): older innovations then say nothing.  Less
+# than a model's misfit, which begins at 1.6 (:mod:`consistency`).
+OTHER_NOISE = 0.25
 SETTLED_S = 0.5  # B counts as changing for so long after it was seen to change
 CHANGING_STDDEV = 0.05  # relative, while it does
 MOST_CHANGES = 200  # of each stage that are kept
@@ -159,6 +162,8 @@ class LiveEstimator:
             start, buffer = float(times[0]), self._grid.buffer
             gap = start - self._grid.time_of(buffer.end)
             self._events.append(Event(start, "monitor", f"no data for {gap:.2f} s"))
+            if gap > WARM_S:
+                self._temperature = None
             self._take(everything=True)
             self._grid = Grid(start, self.dt, frozenset(buffer.seen))
             self._state.restart_rows()
@@ -221,8 +226,9 @@ class LiveEstimator:
         # A late channel waits for the samples that show the present.
         circuit = self._model.circuit
         lead = max(circuit[s.POSITION_DELAY], circuit[s.PRESSURE_DELAY])
-        self._lag = LAG + math.ceil(lead / self.dt)
-        self._context = CONTEXT + math.ceil(
+        beside = LONGEST if takes_speed(self._model, self._channels) else 0
+        self._lag = LAG + beside + math.ceil(lead / self.dt)
+        self._context = CONTEXT + beside + math.ceil(
             max(circuit[s.COMMAND_DELAY], circuit[s.FEEDBACK_DELAY]) / self.dt)
         self._measure_noise()
         if self._no_force is None:
@@ -381,7 +387,7 @@ class LiveEstimator:
             stage.forget(*KEPT)
         standing = [stage for stage in STAGES if tester.standing(stage)]
         if standing:
-            tester.look_beside(self._now, lambda: self._rows(LOOK_S))
+            tester.look_beside(self._now, self._rows)
         start = state.taken - round(JUDGED_S / self.dt)
         self._look_beyond(start, now)
         if not standing or start < self._grid.buffer.first or not tester.trying.due(now):
