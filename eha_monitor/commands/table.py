@@ -130,7 +130,8 @@ def _estimated(found: Estimate) -> Table:
         # What must not be used does not speak like what may.
         value = p.shown if p.status == "converged" or p.shown == "—" else f"[dim]({p.shown})[/]"
         status = _coloured(p.status)
-        if p.status == "converged" and estimator != "joint" and p.name in found.model.tainted:
+        doubted = found.joint_doubt if estimator == "joint" else p.name in found.model.tainted
+        if p.status == "converged" and doubted:
             value, status = f"[dim]({p.shown})[/]", "converged, [yellow]in doubt[/]"
         shown.add_row(estimator, SYMBOLS.get(p.name, p.name), value, status)
     for name, taint in found.model.tainted.items():

@@ -1,13 +1,13 @@
 """Whether the innovations are what the filter expects: right size, white at every scale."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from eha_monitor import ties
 from eha_monitor.estimation.results import Consistency, ParameterEstimate, Stage
-from eha_monitor.quantity import number
+from eha_monitor.quantity import SYMBOLS, number, quantity
 from eha_monitor.recordings import columns
 from eha_monitor.recordings.columns import blocks
 
@@ -177,10 +177,20 @@ def stage_verdict(stage: Stage, parameter: ParameterEstimate, innovation: np.nda
     """Judge a stage's innovations, unless its parameter is not excited; see :func:`judge`.
 
     A model that nothing moves is not tested: zeros fit any.  A parameter that stays at its prior
-    fits a little badly; only a gross misfit is the model's.
+    fits a little badly; only a gross misfit is the model's.  A damping that has to become negative
+    in between makes the innovations white, but no friction drives.
     """
     verdict = judge(innovation, stddev, window, stage.words, stage.missing, changes)
-    if verdict is None or parameter.status != "not_excited":
+    if verdict is None:
+        return None
+    if verdict.consistent and changes is not None and (changes[:, 2] < 0.0).any():
+        worst = changes[ties.largest(-changes[:, 2])]
+        verdict = replace(verdict, consistent=False, decisive=True, message=(
+            f"{stage.words}: {SYMBOLS[parameter.name]} had to become "
+            f"{quantity(worst[2], parameter.unit)} near t = "
+            f"{worst[0] * window.dt + window.start:.2f} s, and no friction drives: "
+            f"{stage.missing}"))
+    if parameter.status != "not_excited":
         return verdict
     return verdict if not verdict.consistent and verdict.variance_ratio > GROSS else None
 

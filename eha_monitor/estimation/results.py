@@ -15,6 +15,7 @@ from eha_monitor.settings.monitor import Settings
 CONVERGED = 0.10  # relative standard deviation
 GAINED = 2.0  # so many times sharper than the prior, or the motion has told nothing
 NEGATIVE = 3.0  # standard deviations below zero that no physical coefficient can be
+LARGEST_NIS = 1.5  # of the joint filter; above it its standard deviations grow, and are in doubt
 LOOK_S = 20.0  # of rows that least squares look at: for so long a look may stand
 NEAR_S = 1e-6  # s: two times are the same
 HUGE = 100.0  # times the prior and its sigma: no longer a coefficient of this rig
@@ -127,13 +128,15 @@ class JointResult:
     """B, beta_e and leakage at once, from dp and omega.
 
     ``parameters`` maps ``B``, ``beta_e``, ``L`` to estimates; ``correlation`` is (3, 3) in that
-    order; ``fits`` tells whether position, force and drive agree on them at all.
+    order; ``fits`` tells whether position, force and drive agree on them at all, ``nis`` how
+    well: the median of the normalised innovations squared over that of white ones.
     """
 
     parameters: dict[str, ParameterEstimate]
     correlation: np.ndarray
     message: str
     fits: bool
+    nis: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -169,7 +172,8 @@ class Mismatch:
 class Taint:
     """Why a parameter deserves doubt, and since when, s.
 
-    ``testing``: it has just moved, and the model is being tested on what came since.
+    ``testing``: it has just moved, and the model is being tested on what came since;
+    ``untested``: no test has had enough data yet.
     ``instead``: what least squares on the balances of the last seconds give
     (:mod:`balances.parameters`), None where the motion does not determine it.
     """
@@ -177,6 +181,7 @@ class Taint:
     reason: str
     since_s: float
     testing: bool = False
+    untested: bool = False
     instead: ParameterEstimate | None = None
 
 
@@ -309,6 +314,20 @@ class Estimate:
         """What of :attr:`parameters` is in doubt all the same."""
         return {name: taint for name, taint in self.model.tainted.items()
                 if taint.instead is None}
+
+    @property
+    def joint_doubt(self) -> str:
+        """Why the joint filter's numbers are in doubt, "" where they are not.
+
+        It holds the force balance that stage one holds.  Its flow balance knows the leakage,
+        which stage two takes from the config, so that one's mismatch need not be its own.
+        """
+        if self.joint is None:
+            return ""
+        if "B" in self.model.tainted:
+            return "the force balance does not fit"
+        return (f"the joint filter's innovations are off, NIS {self.joint.nis:.3g}"
+                if self.joint.nis > LARGEST_NIS else "")
 
     @property
     def told(self) -> tuple[Event, ...]:

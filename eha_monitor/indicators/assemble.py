@@ -74,7 +74,9 @@ def evidence_of_estimate(found: Estimate) -> Evidence:
     """Return the evidence of an estimate: what converged, after the last change of a stage."""
     values, variances, why = {}, [], {}
     parameters, doubts = dict(found.parameters), found.doubted
-    if found.joint is not None:
+    if found.joint_doubt:
+        why["leakage"] = f"in doubt: {found.joint_doubt}"
+    elif found.joint is not None:
         parameters["leakage"] = found.joint.parameters["L"]
         # Stage two takes the config's leakage for true: where another one leads it astray, the
         # joint estimator, which has the leakage among its unknowns, knows beta_e.

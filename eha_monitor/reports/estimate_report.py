@@ -212,7 +212,7 @@ def estimate_page(estimate: Estimate, alarms: tuple[Alarm, ...], history: tuple[
         events=table("no. | time | stage | event", [
             (i, _seconds(one.time_s), one.stage, one.message)
             for i, one in enumerate(estimate.told, 1)], " | number |  | message", "events"),
-        joint=estimate.joint and _joint_table(estimate.joint),
+        joint=estimate.joint and _joint_table(estimate.joint, bool(estimate.joint_doubt)),
         joint_message=estimate.joint.message if estimate.joint else "",
         correlation=estimate.joint and _correlation_table(estimate.joint),
         observability=_observability_table(observability, recording),
@@ -292,10 +292,11 @@ def _alarm_table(alarms: tuple[Alarm, ...], key: str) -> Table:
          _seconds(a.time_s), a.message) for a in alarms], "number |  | number | message", key)
 
 
-def _joint_table(joint: JointResult) -> Table:
+def _joint_table(joint: JointResult, doubted: bool) -> Table:
     """Return the parameters of the joint estimator."""
     return table("parameter | value | in words", [
-        (f"{PARAMETER_WORDS.get(p.name, p.name)} {SYMBOLS.get(p.name, p.name)}", _value_cell(p),
+        (f"{PARAMETER_WORDS.get(p.name, p.name)} {SYMBOLS.get(p.name, p.name)}",
+         _value_cell(p, doubted),
          p.message if p.status == "converged" else "") for p in joint.parameters.values()],
         " |  | message", "joint")
 
