@@ -72,6 +72,31 @@ def said(machine, recording, settings):
     return against(machine, [recording], settings, machine.sources)
 
 
+def test_what_no_numbers_of_the_machine_describe_is_told_however_small(machine, settings):
+    for seed in range(20, 26):
+        judged = judge(machine, [course_of(pumped(seed), settings)], settings)
+        assert not any(one.foreign for one in judged.balances)
+    found = said(machine, pumped(20, rough=20.0), settings)  # 0.7 % of the force's signal
+    assert found.verdict == "unexplained"
+    assert re.search(r"force: the machine's terms fitted anew leave [45]\.?\d? times what they "
+                     "leave of any healthy recording", found.message)
+
+
+def test_a_damping_that_grew_a_little_at_its_temperature_is_told(settings):
+    oils = np.exp(np.linspace(-0.4, 0.4, 6))
+    healthy = [pumped(seed, oil=oil) for seed, oil in enumerate(oils)]
+    warm = [replace(one, channels=one.channels | {"temperature": np.full(
+        len(one), 40.0 - np.log(oil) / 0.03)}) for one, oil in zip(healthy, oils, strict=True)]
+    machine = healthy_machine(warm, settings)
+    worn = pumped(30, oil=1.1, damping=1.15)
+    worn = replace(worn, channels=worn.channels | {"temperature": np.full(
+        len(worn), 40.0 - np.log(1.1) / 0.03)})
+    found = said(machine, worn, settings)
+    assert found.verdict == "consistent"
+    assert "viscous damping B is" in found.message
+    assert "at the temperature of its oil" in found.message and "+1" in found.message
+
+
 def test_healthy_is_nothing(machine, settings):
     for seed in (20, 21, 22):
         found = said(machine, pumped(seed), settings)

@@ -324,6 +324,12 @@ def _or_a_sensor(change: Change) -> str:
     return f" ({listed(sensors, 'or')}, a sensor's error, would read the same)"
 
 
+def _left(one: JudgedBalance) -> str:
+    """Return how much is left of a balance that no numbers of the machine's terms describe."""
+    return (f"{one.balance}: the machine's terms fitted anew leave {number(one.alone, 2)} times "
+            "what they leave of any healthy recording")
+
+
 def _message(verdict: str, changes: Sequence[Change], judged: Judged, runs: str,
              small: Sequence[str]) -> str:
     """Return the answer in a sentence: what changed, what did too little to matter, or nothing.
@@ -334,7 +340,9 @@ def _message(verdict: str, changes: Sequence[Change], judged: Judged, runs: str,
     """
     if changes:
         said = "; ".join(one.statement + _or_a_sensor(one) for one in changes)
-        return f"{said}; what else differs is small: {'; '.join(small)}" if small else said
+        said = f"{said}; what else differs is small: {'; '.join(small)}" if small else said
+        return "; ".join([said, *(f"{_left(one)}: something else has changed as well"
+                                  for one in judged.balances if one.foreign)])
     if verdict == "consistent" and small:
         return f"what differs is too small to be called a change: {'; '.join(small)}"
     if verdict == "consistent":
@@ -347,7 +355,8 @@ def _message(verdict: str, changes: Sequence[Change], judged: Judged, runs: str,
                 f", but it explains too little of the {largest.candidate.balance} to be called a "
                 "change" if abs(largest.deviations) > largest.limit else ""))
         return f"nothing has changed from {runs}{most}"
-    said = [f"{one.balance}: {share(one.error, 2)} of it unexplained, at most "
+    said = [_left(one) if one.foreign else
+            f"{one.balance}: {share(one.error, 2)} of it unexplained, at most "
             f"{share(one.usual, 2)} in the healthy recordings" for one in judged.loud]
     return "an effect that is not in the catalogue has changed" + (
         f"; {listed(said)}" if said else "")
@@ -384,7 +393,13 @@ def beside_viscosity(machine: Machine, judged: Judged, viscosity: float) -> Judg
     ----------
     viscosity : of the recording's oil, as :attr:`Machine.viscosity`; NaN where not measured.
     """
-    moved = _at_temperature(machine, judged, viscosity) or _beside_the_other(machine, judged)
+    warm = _at_temperature(machine, judged, viscosity)
+    if warm is not None and abs(warm.here / warm.machine - 1.0) <= machine.policy.near:
+        judged = replace(judged, balances=tuple(
+            replace(one, small=one.small or warm) if one.balance == warm.candidate.balance
+            else one for one in judged.balances))
+        warm = None
+    moved = warm or _beside_the_other(machine, judged)
     return judged if moved is None else replace(judged, balances=tuple(
         one.with_change(moved) if one.balance == moved.candidate.balance else one
         for one in judged.balances))
@@ -410,7 +425,7 @@ def _at_temperature(machine: Machine, judged: Judged, viscosity: float) -> Moved
     healthy = float(np.exp(logs.mean())) * viscosity
     off = float(np.log(value / healthy))
     t, limit = _t_of_next(off, spread, runs, (chance / value, noise), machine.policy)
-    if not abs(t) > limit or not abs(np.expm1(off)) > machine.policy.near:
+    if not abs(t) > limit:
         return None
     return Moved(judged.of["B"], value, total, healthy, healthy * float(np.hypot(spread, noise)),
                  t, limit, apart=healthy * abs(float(np.expm1(off) / t)),

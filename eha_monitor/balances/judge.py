@@ -17,7 +17,7 @@ from eha_monitor.balances.named import FORCE_OF_SENSORS
 from eha_monitor.balances.policy import POLICY, Policy
 from eha_monitor.balances.scatter import Amplitudes, Scatter, amplitudes_of, limit_of, ridge_of
 from eha_monitor.balances.table import Table, pooled_table, tables_of
-from eha_monitor.balances.together import setting_of, unseen
+from eha_monitor.balances.together import left_alone, setting_of, unseen
 from eha_monitor.settings.monitor import Settings
 from eha_monitor.words import effect_words, listed
 
@@ -26,6 +26,7 @@ WEARS = "F_c"
 OIL = ("compliance", "entrained_air")  # that every machine has, however little it does
 OF_PLACE = ("spring_load", "position_load")  # they hold a load of their own
 ERROR = 1.5  # times the largest of the machine's own recordings: the balance does not belong
+MANY = 3.0  # times as much where all is fitted anew: the same, however little of the signal it is
 
 
 @dataclass(frozen=True)
@@ -74,6 +75,8 @@ class JudgedBalance:
     small : what explains most of the rest, where something differs surely but too little to
         matter.
     free : terms of the recording's own setting.
+    alone : what is left where all terms and changes are fitted to the recording itself, over the
+        most that the terms leave so of one of the machine's own.
     """
 
     balance: str
@@ -90,6 +93,12 @@ class JudgedBalance:
     free: tuple[str, ...] = ()
     each: tuple[Table, ...] = ()
     small: Moved | None = None
+    alone: float = 0.0
+
+    @property
+    def foreign(self) -> bool:
+        """Whether no numbers of the machine's terms describe the recording as they do its own."""
+        return self.alone > MANY
 
     def with_change(self, moved: Moved) -> "JudgedBalance":
         """Return the balance with one more change of a number that the machine has."""
@@ -135,9 +144,13 @@ class Judged:
 
     @property
     def loud(self) -> tuple[JudgedBalance, ...]:
-        """Balances that leave more than any of the machine's own recordings."""
-        return tuple(one for one in self.balances if is_loud(
-            one.error, one.usual, one.size, one.table) and one.error - one.usual > POLICY.worse)
+        """Balances that leave more than any of the machine's own recordings.
+
+        Also those that leave little, but many times what the machine's terms leave of its own
+        recordings even where they are fitted anew: that no number of theirs has moved.
+        """
+        return tuple(one for one in self.balances if one.foreign or (is_loud(
+            one.error, one.usual, one.size, one.table) and one.error - one.usual > POLICY.worse))
 
     @property
     def belongs(self) -> bool:
@@ -177,8 +190,14 @@ def judge(machine: Machine, courses: Sequence[Course], settings: Settings) -> Ju
                                    np.array(list(held.values())))
         own |= {name: (float(v), float(d)) for name, v, d in zip(free, value, stddev,
                                                                  strict=True)}
-        found.append(replace(_Beside(one, table, held, free, loose, settings.effects,
-                                     machine.policy).judged(machine), each=tuple(tables)))
+        beside = _Beside(one, table, held, free, loose, settings.effects, machine.policy).judged(
+            machine)
+        own_terms = [own for name in dict.fromkeys([
+            *one.terms, *(moved.candidate.name for moved in beside.changed)])
+            for own in columns_of(name, table)]
+        found.append(replace(
+            beside, each=tuple(tables), alone=left_alone(table, own_terms)
+            / max(*one.alone, table.floor) if one.alone else 0.0))
         fitted = list(dict.fromkeys([
             *(name for name in found[-1].now if name in table.places), *free]))
         # All together: else damping takes up the friction that came.

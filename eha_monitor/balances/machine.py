@@ -23,7 +23,14 @@ from eha_monitor.balances.parameters import UNKNOWN, Stiffness, stiffness_of
 from eha_monitor.balances.policy import POLICY, Policy
 from eha_monitor.balances.scatter import Scatter, scatter_of
 from eha_monitor.balances.table import Table, nominal_of, tables_of
-from eha_monitor.balances.together import Chosen, Named, Recordings, of_one_machine, pooled
+from eha_monitor.balances.together import (
+    Chosen,
+    Named,
+    Recordings,
+    left_alone,
+    of_one_machine,
+    pooled,
+)
 from eha_monitor.errors import InputError
 from eha_monitor.output import finite, write_json
 from eha_monitor.quantity import quantity, share
@@ -94,6 +101,7 @@ class MachineBalance:
     refused : gates that something did not pass.
     forms : of each term, by how much it goes with the shapes of its family that fit as well.
     levers : of each parameter, rms of its column over that of the signal, 1/SI.
+    alone : what each recording leaves where the terms are fitted to itself, SI.
     """
 
     balance: str
@@ -117,6 +125,7 @@ class MachineBalance:
     held: tuple[float, ...] = ()
     forms: tuple[float, ...] = ()
     levers: tuple[float, ...] = ()
+    alone: tuple[float, ...] = ()
 
     @property
     def form_of(self) -> dict[str, float]:
@@ -361,7 +370,8 @@ def _balance(kind: str, courses: Sequence[Course], scale: Scale, rig: Rig,
             tables, weights, [s.name for s in settings if s.name not in usual], allowed, policy,
             loose | oil, pieces) for oil in ({}, oil_of(parameters, of, policy))), refused,
         tuple(recordings.errors(chosen.names).tolist()),
-        _forms(recordings, beside, chosen.names, allowed, policy), levers_of(tables, fit.names))
+        _forms(recordings, beside, chosen.names, allowed, policy), levers_of(tables, fit.names),
+        tuple(left_alone(table, [*fit.names, *fit.settings]) for table in tables))
 
 
 def usual_of(settings: Sequence[Setting], of: Mapping[str, Candidate]

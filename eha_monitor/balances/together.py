@@ -425,6 +425,12 @@ def unseen(table: Table, shared: list[int], settings: list[int], w: np.ndarray) 
     return float(np.sqrt(max(squares, 0.0) / max(table.n, 1))) / table.size
 
 
+def left_alone(table: Table, names: Iterable[str]) -> float:
+    """Return the RMS that terms leave where they are fitted to the recording itself, SI."""
+    return table.size * unseen(table, [], [table.places[name] for name in names
+                                           if name in table.places], np.empty(0))
+
+
 def crosswise(table: Table, fit: np.ndarray, judge: np.ndarray, shared: list[int],
               settings: list[int], w: np.ndarray) -> np.ndarray:
     """Return the mixture of columns that is left, settings fitted on one half, (1 + k,)."""
