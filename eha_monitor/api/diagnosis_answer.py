@@ -94,11 +94,11 @@ def _learned(term: LearnedTerm) -> dict:
 def completed(found: Diagnosis, settings: Settings) -> tuple[Settings, list[str], list[str]]:
     """Return the given config completed with what was found.
 
-    ``effects`` is what the diagnosis says, and numbers of the rig that it contradicts become the
-    found ones.  B and beta_e of the rig become the fitted ones: ``simulator`` then makes what was
-    recorded, and the filters start where the rig is.  Nothing else is changed, thresholds and
-    priors included: whether the rig is healthy is not for a fit to say.  Where neither names nor
-    a learned term explain the mismatch, the config stays as it was.
+    ``effects`` is what the diagnosis says, and numbers of the rig that it contradicts, or knows
+    better, become the found ones.  B and beta_e of the rig become the fitted ones: ``simulator``
+    then makes what was recorded, and the filters start where the rig is.  Nothing else is
+    changed, thresholds and priors included: whether the rig is healthy is not for a fit to say.
+    Where neither names nor a learned term explain the mismatch, the config stays as it was.
 
     Returns
     -------
@@ -148,7 +148,7 @@ def _indented(points: list[str]) -> list[str]:
 def _corrected_numbers(found: Diagnosis, settings: Settings, rig: dict, missing: list[str]
                        ) -> list[str]:
     """Put the found numbers into the tree of the rig; return what was changed, in words."""
-    findings = {finding.key: finding for finding in found.rig_data}
+    findings = {finding.key: finding for finding in (*found.rig_data, *found.rig_within)}
     values, refused = corrected(settings.rig, {
         key: finding.found.value for key, finding in findings.items()})
     missing += [f"rig.{key}: {why}" for key, why in refused.items()]

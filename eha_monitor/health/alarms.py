@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from eha_monitor.estimation.model_watch import Trial
+from eha_monitor.estimation.model_watch import LONGEST_TRIAL_S, Trial
 from eha_monitor.estimation.results import Beside, ParameterEstimate, Taint, stands, units_of
 from eha_monitor.health.judge import (
     NO_LIMIT,
@@ -183,7 +183,9 @@ class AlarmBoard:
         if self._on_mismatch == "ignore":
             return _Read(value, stddev, shown, note=f"in doubt: {taint.reason}")
         if taint.testing:
-            return _Read(value, stddev, shown, taint, Doubt(value, value, trial=True))
+            return _Read(value, stddev, shown, taint, Doubt(
+                value, value, trial=True,
+                wait=math.inf if taint.untested else LONGEST_TRIAL_S))
         if self._on_mismatch == "rebase":
             rebase = self._rebase[symbol]
             read = rebase.read(time_s, value, stddev, taint.since_s)

@@ -108,12 +108,14 @@ class Watched:
 class Doubt:
     """How far a value may be off: it may truly be as low as ``lowest``, as high as ``highest``.
 
-    ``trial``: it has just moved, and may raise nothing until the model has been tested on it.
+    ``trial``: it has just moved, and may raise nothing until the model has been tested on it,
+    which a value that goes on moving waits ``wait`` s for.
     """
 
     lowest: float
     highest: float
     trial: bool = False
+    wait: float = LONGEST_TRIAL_S
 
 
 @dataclass
@@ -185,11 +187,11 @@ class Judge:
         has been tested on it for so long.  Where a ``look`` at some seconds gives the value, the
         next one must have passed the limit as well: a few seconds may lack the motion.
         """
-        sign, good, bad, wait = self.sign, value, value, 0.0
+        sign, good, bad, wait, back_in = self.sign, value, value, 0.0, 0.0
         if doubt is not None:
             good, bad = ((doubt.lowest, doubt.highest) if sign > 0
                          else (doubt.highest, doubt.lowest))
-            wait = LONGEST_TRIAL_S if doubt.trial else 0.0
+            wait, back_in = (doubt.wait, LONGEST_TRIAL_S) if doubt.trial else (0.0, 0.0)
         if sign * (value - self.limits[self.first]) <= margin:
             self.beyond = None
         elif self.beyond is None:
@@ -203,7 +205,7 @@ class Judge:
             if self.since[place] is None:
                 self.look[place] = look
             self.since[place] = _clock(self.since[place], passed, time_s)
-        while self.raised and _ran(self.within[self.raised - 1], time_s, wait):
+        while self.raised and _ran(self.within[self.raised - 1], time_s, back_in):
             self.raised -= 1
         for place in (0, 1):
             if place + 1 > self.raised and _ran(self.since[place], time_s, max(

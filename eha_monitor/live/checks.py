@@ -28,6 +28,7 @@ from eha_monitor.estimation.results import (
     Mismatch,
     ModelStatus,
     ParameterEstimate,
+    Taint,
     no_data,
     units_of,
 )
@@ -237,10 +238,15 @@ class LivePlausibility:
 
 
 JUDGED_S = 10.0  # the model is tested over the last so many seconds
+SHORTEST_S = 4.0  # of rows for least squares: strokes both ways
+REMEMBERED_S = 30.0  # a verdict counts for so long where later windows show too little
 JUDGE_EVERY_S = 0.5
 # Kept from look to look: of changes that count as hopping, of what a held parameter rests on.
 KEPT = math.exp(-JUDGE_EVERY_S / 300.0), math.exp(-JUDGE_EVERY_S / 30.0)
 TRY_EVERY_S = 1.0, 8.0  # while a mismatch stands: does the last window fit again?
+
+
+UNTESTED = "no window of the data has tested the model on it yet"
 
 
 @dataclass(frozen=True)
@@ -259,7 +265,8 @@ class LiveModel:
 
     Attributes
     ----------
-    verdicts : on the last window of each stage, None where it could not be judged.
+    verdicts : on the last window of each stage that could be judged, None before there was one
+        and once it is ``REMEMBERED_S`` old.
     first : row from which on a stage is judged; what came before was explained otherwise.
     trying : when to ask whether the last window fits again.
     looks : least squares on the balances while a mismatch stands, the last ``LOOK_S`` of them.
@@ -271,6 +278,7 @@ class LiveModel:
         self.verdicts: dict[str, Consistency | None] = dict.fromkeys(STAGES)
         self.first = dict.fromkeys(STAGES, 0)
         self.judged_at = 0
+        self._judged_s = dict.fromkeys(STAGES, -math.inf)
         self._trials = {name: Trial(units_of(settings.rig.motion)[name])
                         for name in (stage.parameter for stage in STAGES.values())}
         self.trying = Backoff(*TRY_EVERY_S)
@@ -314,9 +322,13 @@ class LiveModel:
                 buffer.column(f"nu_{stage}", start, stop).copy(),
                 buffer.column(f"sd_{stage}", start, stop).copy(),
                 Window(buffer.dt, quantum, time_of(start), JUDGED_S), rows)
-            self.verdicts[stage] = verdict
+            now = time_of(taken)
+            if verdict is not None:
+                self.verdicts[stage], self._judged_s[stage] = verdict, now
+            elif now - self._judged_s[stage] > REMEMBERED_S:
+                self.verdicts[stage] = None
             trial = self._trials[about.parameter].moved
-            if self.watches[stage].update(time_of(taken), verdict, trial):
+            if self.watches[stage].update(now, verdict, trial):
                 started.append(self.watches[stage].standing)
                 self.trying, self.looks = Backoff(*TRY_EVERY_S), ()
         if not any(watch.standing for watch in self.watches.values()):
@@ -347,11 +359,18 @@ class LiveModel:
         fit = self._run(stage, inputs, damping)
         return fit, self.watches[stage].test(time_s, fit.fits)
 
-    def look_beside(self, time_s: float, rows: Callable[[], Recording]) -> None:
-        """Take least squares on the balances of the last seconds (``rows``), if that is due."""
+    def look_beside(self, time_s: float, rows: Callable[[float], Recording]) -> None:
+        """Take least squares on the balances, if that is due.
+
+        ``rows`` gives those of the last so many seconds: as many as the mismatch is old, since
+        what came before a change says nothing of what is now, and no fewer than ``SHORTEST_S``.
+        """
+        since = min((watch.standing.since_s for watch in self.watches.values()
+                     if watch.standing), default=time_s)
+        seconds = min(max(time_s - since, SHORTEST_S), LOOK_S)
         if not self.looks or time_s - self.looks[-1].time_s >= EVERY_S:
             self.looks = (*(one for one in self.looks if time_s - one.time_s <= LOOK_S),
-                          Beside(time_s, parameters_of(rows(), self.settings)))
+                          Beside(time_s, parameters_of(rows(seconds), self.settings)))
 
     def _run(self, stage: str, inputs: StageInputs, damping: tuple[float, float]) -> Fit:
         """Run a stage with one value of its parameter for the whole window."""
@@ -385,6 +404,9 @@ class LiveModel:
         """Return what is known about the model now, and which estimates are in doubt."""
         tainted = {name: trial.taint for name, trial in self._trials.items()
                    if trial.taint is not None}
+        for stage, about in STAGES.items():  # a model that nothing has tested raises no alarm
+            if self.verdicts[stage] is None and parameters[about.parameter].status == "converged":
+                tainted[about.parameter] = Taint(UNTESTED, time_s, testing=True, untested=True)
         standing = tuple(watch.standing for watch in self.watches.values() if watch.standing)
         if not standing:
             fitting = [v for v in self.verdicts.values() if v is None or v.consistent]

@@ -149,6 +149,9 @@ WALL = 10.0  # times its processor time: then it hangs
 _NO_MEMORY = ("MemoryError", "Memory allocation", "Cannot allocate memory")
 
 
+QUANTISATION = "position_quantisation"
+
+
 class Turn:
     """Whose diagnosis is under way: one at a time in a process, for all its actuators.
 
@@ -202,12 +205,20 @@ class Answer:
         return self.tree.get("verdict", "failed")
 
     @property
+    def message(self) -> str:
+        """What it says in one line, and the numbers of the rig that it knows better."""
+        return "; ".join([self.tree.get("message", ""), *(
+            one["statement"] for one in self.tree.get("rig_within", []))])
+
+    @property
     def probability(self) -> float:
         """Least probability of an effect, one less that of an unnamed one; NaN without effects.
 
-        A learned term has no name, so no probability either.
+        A learned term has no name, so no probability either; a resolution is read off the
+        samples and has none.
         """
-        found = [one.get("probability") for one in self.tree.get("effects", [])]
+        found = [one.get("probability") for one in self.tree.get("effects", [])
+                 if one.get("name") != QUANTISATION]
         if not found or None in found or self.tree.get("learned"):
             return math.nan
         unnamed = (self.tree.get("probability") or {}).get("unexplained") or 0.0
@@ -346,7 +357,7 @@ def answer_findings(answer: Answer | None) -> list[Finding]:
         return [Finding(DIAGNOSIS, "STALE", "nothing has been diagnosed yet")]
     tree = answer.tree
     where = tree["location"]
-    found = [Finding(DIAGNOSIS, _LEVELS.get(answer.verdict, "STALE"), tree.get("message", ""), {
+    found = [Finding(DIAGNOSIS, _LEVELS.get(answer.verdict, "STALE"), answer.message, {
         "verdict": answer.verdict,
         **{f"share_{name}": share for name, share in where["balance"].items()},
         "regime": where["regime"],
@@ -355,7 +366,8 @@ def answer_findings(answer: Answer | None) -> list[Finding]:
         "bag": ", ".join(map(str, answer.bags)), "report": str(answer.folder / "report.html"),
         "json": str(answer.folder / "diagnosis.json"),
         "config": str(answer.folder / "completed.yaml"), "wall_s": answer.wall_s})]
-    for one in (*tree.get("effects", []), *tree.get("rig_data", [])):
+    for one in (*tree.get("effects", []), *tree.get("rig_data", []),
+                *tree.get("rig_within", [])):
         values: dict[str, float | int | str] = {}
         if one.get("probability") is not None:
             values["probability"] = float(one["probability"])

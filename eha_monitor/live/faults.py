@@ -30,6 +30,7 @@ LATE_S = 0.1
 # Looks after which it is known how receipt and stamp usually drift apart.
 GROWTHS = 5
 # Kinds of sentences that a monitor that cannot keep up brings about by itself.
+INTERRUPTED_S = 1.0  # without data: nothing is lost between, the source was not there
 CONSEQUENCES = ("missing", "late", "lacked")
 # So many samples are needed to tell a usual step.
 ENOUGH = 20
@@ -318,7 +319,9 @@ class FaultWatch:
         usual = float(np.partition(steps, len(steps) // 4)[len(steps) // 4])
         if usual <= 0:
             return
-        missing = int(np.sum(np.round(steps[steps > GAP * usual] / usual) - 1))
+        # A longer gap is an interruption or a clock that was set, which others name.
+        lacking = steps[(steps > GAP * usual) & (steps <= max(INTERRUPTED_S, 10.0 * usual))]
+        missing = int(np.sum(np.round(lacking / usual) - 1))
         missing -= source.late - past.counts.late  # they came, too late
         self.missing += max(missing, 0)
         if _many(missing, missing + len(steps)):

@@ -464,6 +464,8 @@ class Collector:
         if exact in self.topics_seen:
             return exact
         close = [topic for topic in self.topics_seen if self._matches(channel, topic)]
+        # The monitor's own bags hold what it publishes beside what it takes.
+        close = [topic for topic in close if "/monitor/" not in topic] or close
         if len(close) > 1:
             raise InputError(
                 f"{source}: channels.{name}: topic '{channel.topic}' could be "

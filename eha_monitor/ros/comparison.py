@@ -14,6 +14,7 @@ from eha_monitor.recordings.ring import Saved
 from eha_monitor.ros.keeper import Keeper
 from eha_monitor.settings import Settings
 
+BEGINS = "the model does not fit"
 EVERY_S = 600.0  # at least; what changes slowly moves nothing
 
 
@@ -74,12 +75,14 @@ class Comparison:
         moved = [name for name, value in known.items() if name in self._values and abs(
             value - self._values[name]) > MOVED * abs(self._values[name])]
         why = ("the monitor began" if self._fits is None
-               else f"the model {'fits again' if fits else 'does not fit'}" if fits != self._fits
+               else ("the model fits again" if fits else BEGINS) if fits != self._fits
                else f"{' and '.join(moved)} moved" if moved
                else "the last comparison was long ago" if now_s - self._last_s > EVERY_S else "")
         self._fits = fits
         if why:
-            since_s = min((one.since_s for one in model.mismatches), default=now_s)
+            # A mismatch that stood at the comparison before is not when something moved.
+            since_s = min((one.since_s for one in model.mismatches), default=now_s) if (
+                why == BEGINS) else now_s
             self._due = since_s, self._log_ns(since_s), why
         self._values |= {name: value for name, value in known.items()
                          if why or name not in self._values}

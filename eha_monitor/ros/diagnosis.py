@@ -76,6 +76,7 @@ class SelfDiagnosis:
         self._target: Adopted | None = None  # of the exchange that is under way
         self._gate = False
         self._events, self._last_event = 0, {}
+        self._waits = ""  # who asked for a diagnosis while another actuator's was under way
         self._comparison = Comparison(settings, keeper, self._tell, self._log_ns) if (
             settings.diagnosis.machine and keeper.ring is not None) else None
         self._began_anew()
@@ -103,6 +104,7 @@ class SelfDiagnosis:
 
     def _over(self) -> None:
         """The model fits: what comes next is another mismatch."""
+        self._waits = self._waits if self._waits == SERVICE else ""
         self._since_s: float | None = None
         self._tries, self._explained = 0, False
         self._same: list[tuple[Path, int]] = []  # bags of this mismatch, and where each ends, ns
@@ -137,8 +139,11 @@ class SelfDiagnosis:
         wanted = self._settings.diagnosis
         wait = min(wanted.after * 2**self._tries, LONGEST_S)
         if (wanted.start == AUTOMATIC and now_s - self._since_s >= wait
-                and not self._explained and self._keeper.ring is not None and not self._busy):
-            self._begin(AUTOMATIC)
+                and not self._explained and self._keeper.ring is not None):
+            if not self._busy:
+                self._begin(AUTOMATIC)
+            elif self._elsewhere:
+                self._wait(AUTOMATIC)
 
     def push(self, times: np.ndarray, columns: Columns) -> None:
         """Take the rows that the running estimator takes."""
@@ -179,7 +184,7 @@ class SelfDiagnosis:
             self._running.end()
         if self._comparison is not None:
             self._comparison.stop()
-        self._running, self._saving, self._coming = None, False, None
+        self._running, self._saving, self._coming, self._waits = None, False, None, ""
         TURN.give_back(self)
         for service in self._services.values():
             service.take_up()
@@ -202,14 +207,28 @@ class SelfDiagnosis:
         if self._keeper.ring is None:
             return "the buffer is off: monitor.buffer_minutes is 0"
         if self._busy:
-            return f"{self._state()}: expected none"
-        self._begin(SERVICE)
+            if not self._elsewhere:
+                return f"{self._state()}: expected none"
+            self._wait(SERVICE)
+        else:
+            self._begin(SERVICE)
         return None
+
+    @property
+    def _elsewhere(self) -> bool:
+        """Whether another actuator's diagnosis is all that is in the way."""
+        return self._coming is None and TURN.holder not in (None, self, self._comparison)
+
+    def _wait(self, by: str) -> None:
+        """Begin as soon as the other actuator's diagnosis has ended."""
+        if not self._waits:
+            self._waits = by
+            self._say()
 
     def _begin(self, by: str) -> None:
         """Save what has come since the mismatch began, or all there is; then diagnose it."""
         TURN.take(self)
-        self._by, self._saving = by, True
+        self._by, self._saving, self._waits = by, True, ""
         self._tries += 1
         since_ns = self._same[-1][1] + 1 if self._same else (
             0 if self._since_s is None else self._log_ns(self._since_s))
@@ -242,6 +261,8 @@ class SelfDiagnosis:
         if answer is not None:
             self._running = None
             self._ended(answer)
+        if self._waits and not self._busy:
+            self._begin(self._waits)
         if self._comparison is not None:
             if self._comparison.poll():
                 self._say()
@@ -257,11 +278,11 @@ class SelfDiagnosis:
             self._answer = answer
             self._explained = self._since_s is not None and self._adoptable() is None
             self._tell(f"diagnosed {', '.join(map(str, answer.bags))} in {answer.wall_s:.0f} s: "
-                       f"{answer.verdict}: {answer.tree.get('message', '')}")
+                       f"{answer.verdict}: {answer.message}")
         service = self._services["diagnose"]
         service.take_up()
         service.answer(not answer.problem, answer.problem or (
-            f"{answer.verdict}: {answer.tree.get('message', '')}; {answer.folder}"))
+            f"{answer.verdict}: {answer.message}; {answer.folder}"))
         if (not answer.problem and self._settings.diagnosis.adopt == AUTOMATIC
                 and self._coming is None):
             self._consider(answer)
@@ -272,9 +293,15 @@ class SelfDiagnosis:
         """Try an answer on the rows to come, if it is probable enough to be adopted by itself."""
         if answer.verdict == "consistent" and self.adopted is not None:
             self._try(None, AUTOMATIC)
-        elif self._adoptable() is None and (
-                answer.probability >= self._settings.diagnosis.adopt_probability):
-            self._try(answer, AUTOMATIC)
+        elif self._adoptable() is None:
+            asked = self._settings.diagnosis.adopt_probability
+            if answer.probability >= asked:
+                self._try(answer, AUTOMATIC)
+            else:
+                self._tell("not adopted by itself: " + (
+                    "it has a part without a probability" if np.isnan(answer.probability) else
+                    f"its probability of {answer.probability:.3g} is below "
+                    f"diagnosis.adopt_probability, {asked:g}"), "WARN")
 
     def _adoptable(self) -> str | None:
         """Return why the last answer cannot be adopted, None where it can."""
@@ -364,7 +391,9 @@ class SelfDiagnosis:
             return "a diagnosis is under way"
         if self._comparison is not None and TURN.holder is self._comparison:
             return "a comparison with the healthy machine is under way"
-        return "idle" if TURN.holder is None else "a diagnosis of another actuator is under way"
+        if TURN.holder is None:
+            return "idle"
+        return f"{'waits: ' if self._waits else ''}a diagnosis of another actuator is under way"
 
     def _tell(self, text: str, level: str = "OK") -> None:
         """Log an event and publish it."""

@@ -232,7 +232,11 @@ class Monitor:
     def _give(self, rows: Rows) -> None:
         steps = np.diff(rows.stamps, prepend=self._row_ns) * (
             1e-9 / self.settings.rig.sample_time)
-        self.missing_samples += int((np.rint(steps[steps > 1.5]) - 1).sum())
+        # A long gap is an interruption, or a clock that was set: it is told as such, and nothing
+        # is lost within it.
+        longest = self.settings.monitor.stale_after / self.settings.rig.sample_time
+        lost_here = steps[(steps > 1.5) & (steps <= max(longest, 1.5))]
+        self.missing_samples += int((np.rint(lost_here) - 1).sum())
         self._row_ns = int(rows.stamps[-1])
         # Since the first row: seconds since 1970 leave a double 0.2 µs of resolution.
         times = (rows.stamps - self._origin_ns) * 1e-9
