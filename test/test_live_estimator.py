@@ -19,7 +19,7 @@ from rig_tools import (
 
 from eha_monitor.estimation.pipeline import estimate
 from eha_monitor.live.checks import APART_S, Turns
-from eha_monitor.live.diagnosing import Candidate
+from eha_monitor.live.diagnosing import Adopted, Candidate
 from eha_monitor.live.estimator import LiveEstimator
 
 FIXED = {"noise": {"fixed": True}}
@@ -68,6 +68,16 @@ def stream(run):
     made = Stream(**FIXED)
     made.push(rows_of(run.recording(0)))
     return made
+
+
+def test_an_adopted_model_is_no_surer_than_its_diagnosis(stream):
+    snapshot = stream.history[-1]
+    adopted = Adopted("service", "", "", "", {}, {}, {"B": 0.05, "beta_e": 1e-9})
+    widened = adopted.widened(snapshot, settings())
+    b, before = widened.parameters["B"], snapshot.parameters["B"]
+    assert b.value == before.value and b.stddev == pytest.approx(0.05 * b.value)
+    assert b.status == "converged" and "5 %" in b.message
+    assert widened.parameters["beta_e"] == snapshot.parameters["beta_e"]
 
 
 def test_live_and_offline_agree(run, stream):

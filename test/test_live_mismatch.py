@@ -1,6 +1,7 @@
 """The live test of the model: a mismatch that comes, is told, and goes; and offline the same."""
 
 import pytest
+from machine_tools import A_1, A_2, stranger
 from rig_tools import BETA, CHIRP, MULTISINE, SINE, TRIANGLE, settings, simulated
 from test_live_estimator import Stream, rows_of
 
@@ -63,6 +64,20 @@ def test_at_a_triangle_the_misread_damping_waits_for_the_reversal():
     assert made.history[-1].parameters["B"].value > 1500
     assert made.history[-1].model.tainted["B"].testing is False
     assert [word for word, _ in history_of_alarms(made)] == ["STALE", "OK", "not judged"]
+
+
+@pytest.mark.parametrize("seed", [0, 2])
+def test_a_model_that_nothing_has_tested_raises_no_alarm(seed):
+    """At 100 Hz the first whole window comes late; ERROR stood at 8 s, the mismatch came later."""
+    made = Stream(rig={"area_1": A_1, "area_2": A_2, "volume_1": 2e-4, "volume_2": 2e-4,
+                       "mass": 60.0, "pump_displacement": None, "position_gain": None,
+                       "sample_time": 1e-2}, effects={"constant_load": {"F_0": 338.0}})
+    made.push(rows_of(stranger(seed, dt=1e-2, seconds=25.0)))
+    worst = max(s.parameters["B"].value for s in made.history
+                if s.parameters["B"].status == "converged")
+    assert worst > 4000  # the truth is 1500 and 180 N of dry friction; the limits of ERROR, 1500
+    assert {word for word, _ in history_of_alarms(made)} <= {"STALE", "OK", "not judged"}
+    assert made.history[-1].model.mismatches
 
 
 @pytest.mark.parametrize("shape, duration, value", [(SINE, 0.0, 1300.0), (SINE, 12.0, 1300.0)])

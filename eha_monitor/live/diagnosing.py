@@ -15,12 +15,13 @@ import time
 import weakref
 from collections import deque
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
 from eha_monitor.errors import InputError
+from eha_monitor.estimation.results import STAGES, LiveSnapshot
 from eha_monitor.health.alarms import WATCHED
 from eha_monitor.health.judge import DIAGNOSIS, MACHINE, MODEL_IN_FORCE, Finding
 from eha_monitor.live.estimator import LiveEstimator
@@ -95,6 +96,7 @@ class Adopted:
     report : where its diagnosis is described.
     base : the model of the config then; for another one it is not valid.
     model : as :func:`model_of`.
+    spread : relative standard deviations of ``B`` and ``beta_e`` in the diagnosis.
     """
 
     who: str
@@ -103,11 +105,26 @@ class Adopted:
     report: str
     base: dict
     model: dict
+    spread: dict = field(default_factory=dict)
 
     def applied(self, settings: Settings) -> Settings:
         """Return settings with this model in place of theirs."""
         made = settings_from_tree(self.model, "the adopted model")
         return settings.model_copy(update={key: getattr(made, key) for key in MODEL})
+
+    def widened(self, snapshot: LiveSnapshot, settings: Settings) -> LiveSnapshot:
+        """Return estimates that are no surer than the diagnosis was.
+
+        A filter of the adopted model knows its noise alone, the diagnosis also what the form of
+        a friction and the numbers of the rig leave open.
+        """
+        parameters = dict(snapshot.parameters)
+        for stage in STAGES.values():
+            one, spread = parameters[stage.parameter], self.spread.get(stage.parameter, 0.0)
+            least = spread * abs(one.value)
+            if one.status == "converged" and one.stddev < least:
+                parameters[stage.parameter] = stage.judged(settings, one.value, least)
+        return replace(snapshot, parameters=parameters)
 
     def save(self, path: Path) -> None:
         """Write it, for the next start.
@@ -209,6 +226,13 @@ class Answer:
         """What it says in one line, and the numbers of the rig that it knows better."""
         return "; ".join([self.tree.get("message", ""), *(
             one["statement"] for one in self.tree.get("rig_within", []))])
+
+    @property
+    def spread(self) -> dict[str, float]:
+        """Relative standard deviations of ``B`` and ``beta_e`` with what was found."""
+        after = (self.tree.get("parameters") or {}).get("after") or {}
+        return {name: abs(one["stddev"] / one["value"]) for name, one in after.items()
+                if name in ("B", "beta_e") and one.get("value") and one.get("stddev")}
 
     @property
     def probability(self) -> float:

@@ -16,7 +16,7 @@ from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
 from eha_monitor.errors import InputError
-from eha_monitor.estimation.results import ModelStatus, ParameterEstimate
+from eha_monitor.estimation.results import LiveSnapshot, ModelStatus, ParameterEstimate
 from eha_monitor.health.judge import Finding
 from eha_monitor.live.diagnosing import (
     TURN,
@@ -115,6 +115,10 @@ class SelfDiagnosis:
     def in_force(self) -> Settings:
         """The settings with the adopted model, if there is one."""
         return self._settings if self.adopted is None else self.adopted.applied(self._settings)
+
+    def known(self, snapshot: LiveSnapshot) -> LiveSnapshot:
+        """Return a snapshot that is no surer than the diagnosis whose model is in force."""
+        return snapshot if self.adopted is None else self.adopted.widened(snapshot, self.in_force)
 
     def configure(self, settings: Settings) -> Settings:
         """Take other thresholds; returns the settings in force."""
@@ -339,7 +343,7 @@ class SelfDiagnosis:
         self._by, self._gate = by, by == AUTOMATIC
         self._target = None if answer is None else Adopted(
             by, "", effects_in_words(answer), str(answer.folder / "report.html"),
-            model_of(self._settings), model_of(answer.completed))
+            model_of(self._settings), model_of(answer.completed), answer.spread)
         settings = self._settings if self._target is None else self._target.applied(
             self._settings)
         since_s = max(self._now_s - PAST_S, self._since_s or 0.0)

@@ -2,7 +2,7 @@
 
 import math
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 from eha_monitor.estimation.results import Consistency, Event, ModelStatus, ParameterEstimate
@@ -174,7 +174,7 @@ def _stage(stage: str, estimate: ParameterEstimate | None, consistency: Consiste
 
 
 def unfed(symbol: str, seen: Mapping[str, int], row_ns: int, inputs: Sequence[TopicInput],
-          settings: Settings) -> str | None:
+          settings: Settings, frozen: Collection[str] = ()) -> str | None:
     """Return why a parameter has no data now, or None if its channels come.
 
     A channel that comes, or waits to be taken, but is in no row has another reason than one that
@@ -184,6 +184,7 @@ def unfed(symbol: str, seen: Mapping[str, int], row_ns: int, inputs: Sequence[To
     ----------
     seen : by channel, stamp of the last row that held it, ns.
     row_ns : stamp of the last row, ns.
+    frozen : channels whose value stands still, and is left out for that.
     """
     limit = settings.monitor.stale_after * 1e9
     topic_of = {channel: each.topic.full_name for each in inputs for entry in each.topic.entries
@@ -192,6 +193,8 @@ def unfed(symbol: str, seen: Mapping[str, int], row_ns: int, inputs: Sequence[To
                for choice in NEEDS.get(symbol, ())]
     if not lacking or not all(lacking):
         return None
+    if held := sorted(set(lacking[-1]).intersection(frozen)):
+        return f"{' and '.join(held)} {'are' if len(held) > 1 else 'is'} frozen"
     if coming := sorted(_coming(inputs, settings).intersection(lacking[-1])):
         return (f"{' and '.join(coming)} {'come' if len(coming) > 1 else 'comes'}, but too late "
                 "for the samples of x, which wait no longer than "

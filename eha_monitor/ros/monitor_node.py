@@ -283,7 +283,7 @@ class Monitor:
             return
         self._judged_ns = self._row_ns
         self.data.stopped = None
-        snapshot = self._snapshot = self._estimator.snapshot()
+        snapshot = self._snapshot = self.diagnosis.known(self._estimator.snapshot())
         self._model = snapshot.model
         self.data.implausible = snapshot.implausible
         self.data.refused = bool(snapshot.implausible) and (
@@ -295,7 +295,8 @@ class Monitor:
         self._note_diverged(snapshot.parameters)
         parameters = {}
         for symbol, estimate in snapshot.parameters.items():
-            reason = unfed(symbol, self._seen, self._row_ns, self.inputs, self.settings)
+            reason = unfed(symbol, self._seen, self._row_ns, self.inputs, self.settings,
+                           self.watch.stillness.frozen)
             parameters[symbol] = estimate if reason is None else replace(
                 estimate, status="no_data", message=reason)
         changes = self.board.update(self._seconds(), parameters, snapshot.temperature,
