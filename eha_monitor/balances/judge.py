@@ -450,13 +450,22 @@ class _Beside:
                 names, left.value[1:], as_much[1:], strict=True)
             if there and not self.beyond_physics(name, self.held.get(name, 0.0) + amount)))
 
+    def holds(self, moved: Moved, load: Moved) -> bool:
+        """Tell whether a load over the stroke has changed by as much as half the constant one."""
+        if moved.candidate.effect not in OF_PLACE:
+            return False
+        table, name = self.table, moved.candidate.name
+        most = max(float(np.abs(table.rows[table.good, table.places[own]]).max())
+                   for own in columns_of(name, table))
+        return most * abs(moved.here - moved.machine) >= 0.5 * abs(load.here - load.machine)
+
     def judged(self, machine: Machine) -> JudgedBalance:
         """Return what has changed in the balance, its constant load last, beside all else."""
         one, table, free = self.one, self.table, self.free
         changes, now, complete, largest, small = self.search()
         now = self.at_best(now, {moved.candidate.name for moved in changes})
         load, held = _load(machine, one, table, now, free), self.held
-        if load is not None and not any(moved.candidate.effect in OF_PLACE for moved in changes):
+        if load is not None and not any(self.holds(moved, load) for moved in changes):
             name = load.candidate.name
             beside = replace(self, held=held | {name: load.machine}, free=[
                 own for own in free if own not in columns_of(name, table)])

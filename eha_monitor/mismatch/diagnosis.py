@@ -371,13 +371,18 @@ HEALTH_WORDS = {"B": "B", "beta_e": "the effective bulk modulus"}
 
 def health_sentences(before: dict[str, Value], after: dict[str, Value],
                      effects: Sequence[NamedEffect]) -> tuple[str, ...]:
-    """Return in plain words what the mismatch did to the health estimates."""
+    """Return in plain words what the mismatch did to the health estimates.
+
+    Stage one reads B from the force balance: what the flow lacks bends only the nominal model's.
+    """
     found = []
     plant = [effect for effect in effects if effect.balance in ("force", "flow")] or list(effects)
     for name, first in before.items():
         if name not in after or not effects:
             continue
         own = [effect for effect in plant if effect.balance == BALANCE_OF[name]] or plant
+        if name == "B" and not any(e.balance in ("force", "sensor") for e in effects):
+            continue
         then = after[name].value
         change = first.value - then
         if abs(change) < NOTABLE * abs(then) or abs(change) < 3.0 * after[name].stddev:
