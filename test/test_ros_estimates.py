@@ -184,6 +184,7 @@ def test_after_a_remap_messages_and_diagnostics_name_the_new_topic(graph):
         "/eha/p_a: nothing received, so no p1" in each for each in monitor.data.problems)
     graph.until(lambda: "rate_robot_joint_states_Hz" in values(health[-1], "eha: data"))
     assert "rate_command_Hz" in values(health[-1], "eha: data")
+    graph.until(lambda: any("data: /eha/p_a: nothing received, so no p1" in m.msg for m in logs))
     told = [m.msg for m in logs if m.name == "eha.monitor"] + [
         s.message for m in health for s in m.status]
     assert told and not [text for text in told if "/eha/joint_states" in text

@@ -1,6 +1,7 @@
 """The monitor node: live topics in, estimates and health out."""
 
 import math
+import re
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -42,6 +43,8 @@ WATCH_PERIOD = 0.1
 # A filter that has just been thrown off comes back or does not: an ERROR says that it did not.
 DIVERGED_S = 2.0
 LOOK_S = 0.19  # between two looks for faults of the data
+QUIET_S = 30.0  # a problem of the data that was gone for so long is logged again
+NUMBER = re.compile(r"\d")
 DIAGNOSTICS_PERIOD = 1.0
 FEW = 7  # of so many rows one counts in the latencies of each second; no divisor of a batch
 CLASHES_PERIOD = 1.5  # to ask the graph for all ends of all topics costs 1.6 ms
@@ -98,6 +101,7 @@ class Monitor:
         self.watch = FaultWatch(self.aligner.sources, self.settings.rig.sample_time,
                                 self.settings.monitor.latency)
         self._clashes: list[str] = []
+        self._warned: dict[str, float] = {}  # kind of problem -> when it last stood, s
         self._diverged: dict[str, int] = {}  # since when by the rows' stamps, ns
         self._looked = -math.inf
         self._snapshot = None
@@ -350,6 +354,11 @@ class Monitor:
             self.watch.note(problem, now, problem)
         without = CONSEQUENCES if overload else ()
         self.data.problems = [*self._clashes, *self.watch.sentences(now, without)]
+        for problem in self.data.problems:  # its numbers go on changing while it stands
+            kind = NUMBER.split(problem)[0]
+            if now - self._warned.get(kind, -math.inf) > QUIET_S:
+                self.node.get_logger().warning(f"data: {problem}")
+            self._warned[kind] = now
 
     def _note_stop(self, now: float) -> None:
         """Make the health STALE when rows have stopped; wall time, as /clock may stop too."""
