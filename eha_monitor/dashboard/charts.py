@@ -129,12 +129,16 @@ def estimate_data(rows: list[Row], limits: list[tuple[str, str, float]], scale: 
 
 
 def _limit_mark(side: str, degree: str, limit: float) -> dict:
-    """Return a threshold; ERROR is written on the far side of its line, WARN on the near one."""
+    """Return a threshold; ERROR is written on the far side of its line, WARN on the near one.
+
+    High ones at the left end, low ones at the right: close ones do not lie over each other.
+    """
+    end = "Start" if side == "high" else "End"
     above = (side == "high") == (degree == "ERROR")
     colour = _LIMIT_COLOURS[degree]
     return {"yAxis": limit,
             "label": {"formatter": f"{degree} {limit:g}", "color": colour,
-                      "position": "insideStartTop" if above else "insideStartBottom",
+                      "position": f"inside{end}{'Top' if above else 'Bottom'}",
                       "distance": _OFF_THE_LINE},
             "lineStyle": {"color": colour, "type": "dashed" if degree == "WARN" else "solid"}}
 
