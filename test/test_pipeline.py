@@ -330,6 +330,16 @@ TWO_AREAS = {"area_1": 1.963495e-3, "area_2": 1.649336e-3, "volume_1": 3e-4, "vo
              "pump_displacement": 2.546e-7}
 
 
+@pytest.mark.parametrize("seed", [3, 4, 5])
+def test_the_noise_of_a_speed_that_is_the_input_does_not_bend_the_modulus(seed):
+    """It was in the prediction and in what multiplies beta_e alike: 413 to 460 +- 28."""
+    recording = simulated({"kind": "sine", "amplitude": 0.02, "frequency": 1.0}, 10.0,
+                          noise={"pump_speed": 1.0}).recording(seed)
+    found = estimate(recording, settings(rig={"position_gain": None})).stage_two.estimate
+    assert found.status == "converged"
+    assert abs(found.value - 600e6) < 3.0 * found.stddev < 0.12 * 600e6
+
+
 def test_a_rig_with_two_areas():
     rig = {**TWO_AREAS, "leakage": 0.0, "makeup_conductance": 0.0}
     found = answer(simulated(SINE, 8.0, rig=rig).recording(0),

@@ -26,6 +26,7 @@ VISIBLE = 6.0  # standard deviations by which a fourth difference must rise abov
 ROOT_70 = np.sqrt(70.0)
 REACHES = (2, 4, 8, 16, 24)  # samples on both sides over which a noisy speed is smoothed
 LONGEST = REACHES[-1]
+SILENT = 12.0  # rad of the resonance in a reach: a longer one takes of the signal, not of noise
 CONFIDENT = 1.5  # standard deviations within which a longer mean must agree with all shorter ones
 
 
@@ -66,7 +67,8 @@ def smoothing_weights(reach: int) -> np.ndarray:
 WEIGHTS = {reach: smoothing_weights(reach) for reach in REACHES}
 
 
-def smoothed(u: np.ndarray, sigma: float) -> tuple[np.ndarray, np.ndarray]:
+def smoothed(u: np.ndarray, sigma: float, longest: float = LONGEST
+             ) -> tuple[np.ndarray, np.ndarray]:
     """Return a noisy input without the noise that its neighbours know of, and the reach; (n,).
 
     The measured speed drives the model, so its noise is in the prediction and in what multiplies
@@ -79,6 +81,7 @@ def smoothed(u: np.ndarray, sigma: float) -> tuple[np.ndarray, np.ndarray]:
     ----------
     u : (n,) samples, NaN where missing.
     sigma : standard deviation of the noise on u.
+    longest : reach, samples.
     """
     reach, there = np.zeros(len(u), dtype=int), np.isfinite(u)
     if not sigma > 0.0 or not there.any():
@@ -88,6 +91,8 @@ def smoothed(u: np.ndarray, sigma: float) -> tuple[np.ndarray, np.ndarray]:
     found, low, high = u.copy(), whole - CONFIDENT * sigma, whole + CONFIDENT * sigma
     agrees, to_end = there.copy(), np.minimum(number, number[::-1])
     for longer, weights in WEIGHTS.items():
+        if longer > longest:
+            break
         mean = correlate1d(whole, weights)
         spread = CONFIDENT * sigma * math.sqrt(weights @ weights)
         low, high = np.maximum(low, mean - spread), np.minimum(high, mean + spread)
@@ -106,7 +111,7 @@ def speed_hold(omega: np.ndarray, sigma: float, ringing: float, sampled: bool) -
         smoothing there makes the model ring, the other moves its position alone.
     sampled : see :func:`hold_of`.
     """
-    clean, reach = smoothed(omega, sigma)
+    clean, reach = smoothed(omega, sigma, max(SILENT / max(ringing, 1e-9), REACHES[0]))
     passes = np.ones(len(omega))
     for longer, weights in WEIGHTS.items():
         angle = min(ringing, math.pi) * np.arange(-longer, longer + 1)
