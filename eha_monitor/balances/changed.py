@@ -389,6 +389,8 @@ BOTH = ("B", "L")
 def beside_viscosity(machine: Machine, judged: Judged, viscosity: float) -> Judged:
     """Return a recording with B or L as changed too, where one has moved beside the other.
 
+    B that has changed by little at the temperature of its oil is what differs but is small.
+
     Parameters
     ----------
     viscosity : of the recording's oil, as :attr:`Machine.viscosity`; NaN where not measured.

@@ -192,12 +192,10 @@ def judge(machine: Machine, courses: Sequence[Course], settings: Settings) -> Ju
                                                                  strict=True)}
         beside = _Beside(one, table, held, free, loose, settings.effects, machine.policy).judged(
             machine)
-        own_terms = [own for name in dict.fromkeys([
-            *one.terms, *(moved.candidate.name for moved in beside.changed)])
-            for own in columns_of(name, table)]
-        found.append(replace(
-            beside, each=tuple(tables), alone=left_alone(table, own_terms)
-            / max(*one.alone, table.floor) if one.alone else 0.0))
+        names = {*one.terms, *(moved.candidate.name for moved in beside.changed)}
+        left = left_alone(table, (c for name in sorted(names) for c in columns_of(name, table)))
+        found.append(replace(beside, each=tuple(tables), alone=left / max(
+            *one.alone, table.floor) if one.alone else 0.0))
         fitted = list(dict.fromkeys([
             *(name for name in found[-1].now if name in table.places), *free]))
         # All together: else damping takes up the friction that came.

@@ -149,11 +149,8 @@ def hold_of(u: np.ndarray, sigma: float, sampled: bool = False, kinked: bool = F
         is corrected, and a twelfth of the second difference counts as uncertain.
     """
     n = len(u)
-    if n < 5:
-        end = np.roll(u, 1) if sampled else u
-        return Hold(u, end, np.zeros(n), np.zeros(n))
-    if sampled:
-        end = np.concatenate([u[:1], u[:-1]])
+    if sampled or n < 5:
+        end = np.concatenate([u[:1], u[:-1]]) if sampled else u
         return Hold(u, end, np.zeros(n), np.zeros(n))
     step = np.zeros(n)
     step[1:] = u[1:] - u[:-1]

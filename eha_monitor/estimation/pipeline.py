@@ -104,7 +104,7 @@ def estimate_held(recording: Recording, settings: Settings, size: int | None = N
         recording, settings, one, two, joint, model,
         tuple(sorted((as_it_stands(event, model, (one, two)) for event in events),
                      key=lambda event: event.time_s)), inputs.noise,
-        warnings=tuple(warnings_of(inputs, settings)), beside=beside)
+        warnings=tuple(warnings_of(inputs)), beside=beside)
 
 
 def either(one: Estimate, other: Estimate, decision: HoldDecision) -> Estimate:
@@ -318,7 +318,7 @@ def tested_model(status: ModelStatus, stages: tuple[StageResult, StageResult],
         found, {stage.estimate.name: stage.estimate for stage in stages}, beside, now))
 
 
-def warnings_of(inputs: Inputs, settings: Settings) -> list[str]:
+def warnings_of(inputs: Inputs) -> list[str]:
     """Return what a user should know about the recording beyond the estimates."""
     notes = []
     for name, level in inputs.noise.items():
@@ -330,8 +330,7 @@ def warnings_of(inputs: Inputs, settings: Settings) -> list[str]:
     if inputs.model.active.any() and {"p1", "p2", "omega"} <= set(inputs.noise):
         notes.append("the config has effects: B, βe and leakage are not estimated together")
     if inputs.model.hydraulics is not None and inputs.no_drive is None:
-        stiff, mass = inputs.model.hydraulics[1], inputs.model.hydraulics[0]
-        ring = np.sqrt(settings.rig.bulk_modulus * stiff / mass)
+        ring = inputs.model.ringing
         if ring * inputs.dt > COARSE:
             notes.append(f"the samples are {inputs.dt * 1e3:.3g} ms apart, too far for the oil "
                          f"column's resonance of {ring / 2 / np.pi:.0f} Hz: the values may be "

@@ -163,10 +163,8 @@ def adopted_before(path: Path, settings: Settings) -> Adopted | None:
 
 PACKAGE = Path(__file__).parents[1]
 WALL = 10.0  # times its processor time: then it hangs
-_NO_MEMORY = ("MemoryError", "Memory allocation", "Cannot allocate memory")
-
-
 QUANTISATION = "position_quantisation"
+_NO_MEMORY = ("MemoryError", "Memory allocation", "Cannot allocate memory")
 
 
 class Turn:

@@ -63,7 +63,7 @@ from eha_monitor.recordings.recording import LARGEST, Recording
 from eha_monitor.settings.monitor import Settings
 
 PAST = 100  # rows of a batch of the past
-WARM_S = 60.0  # without data: the oil may be as warm as it was
+WARM_S = 60.0  # without data: for longer the oil need not be as warm as it was
 LAG = 6  # rows that the hold looks ahead, and spikes; a smoothed speed more
 CONTEXT = 16  # rows that they look back
 NOISE_AGAIN_S = (1.0, 4.0, 10.0)  # after the start; then every 10 s

@@ -29,8 +29,8 @@ OTHER_RATE = 1.5
 LATE_S = 0.1
 # Looks after which it is known how receipt and stamp usually drift apart.
 GROWTHS = 5
-# Kinds of sentences that a monitor that cannot keep up brings about by itself.
 INTERRUPTED_S = 1.0  # without data: nothing is lost between, the source was not there
+# Kinds of sentences that a monitor that cannot keep up brings about by itself.
 CONSEQUENCES = ("missing", "late", "lacked")
 # So many samples are needed to tell a usual step.
 ENOUGH = 20
