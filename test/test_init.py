@@ -624,3 +624,20 @@ def test_a_line_is_no_angle(tmp_path, capsys, answer, said):
 def test_an_area_in_turning_units_is_refused_of_a_cylinder(tmp_path, capsys):
     assert "rig.area_1: expected a number in m²" in refused(
         capsys, "init", german(tmp_path / "a.csv"), "--yes", *sets("area_1=120 cm^3/rad"))
+
+
+def test_the_loop_gain_is_seen_beside_lag_and_limit():
+    """K_pos of a drive with a lag that reaches its limit; the closed form is the truth."""
+    from eha_monitor.draft.rig import _loop_gain
+
+    step, gain, lag, limit = 1e-3, 2.0e4, 5e-3, 300.0
+    time = np.arange(20000) * step
+    error = 0.02 * np.sin(2 * np.pi * 3.0 * time) * np.sin(2 * np.pi * 0.1 * time)
+    omega = np.zeros_like(error)
+    for k in range(1, len(time)):
+        wanted = np.clip(gain * error[k - 1], -limit, limit)
+        omega[k] = omega[k - 1] + (wanted - omega[k - 1]) * (1.0 - np.exp(-step / lag))
+    found, share = _loop_gain(omega, error, step)
+    assert abs(found / gain - 1.0) < 0.01 and share > 0.99
+    plain = float(omega @ error / (error @ error))
+    assert abs(plain / gain - 1.0) > 0.03  # what least squares on the gain alone would say

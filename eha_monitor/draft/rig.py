@@ -14,6 +14,8 @@ from eha_monitor.quantity import quantity
 from eha_monitor.settings.rig import Rig
 
 FITS = 0.97  # share of the pump speed's variance that a gain must explain to be written
+FREE = 0.9  # of the highest speed seen: a drive that is asked for less is at no limit
+LEANS = 0.25  # of the unexplained share: how far that may pull the gain
 PAPER = "default of the paper"
 MEAN_FREE = "the mean of both pressures"
 GRAVITY = 9.81  # m/s²
@@ -43,12 +45,20 @@ QUESTIONS = {
 
 @dataclass(frozen=True)
 class Entry:
-    """One line of the draft: key, value as YAML, where it comes from, whether it is open."""
+    """One line of the draft.
+
+    Attributes
+    ----------
+    key, value, why : what, as YAML, and where it comes from.
+    ask : whether it is open.
+    off : relative error of what the recording itself shows; 0 where only the source counts.
+    """
 
     key: str
     value: str
     why: str
     ask: bool = False
+    off: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -273,7 +283,8 @@ def _gain(answers: Answers, seen: Seen) -> Entry:
         return _answered(answers, "position_gain")
     if seen.gain and seen.gain[1] > FITS and seen.gain[0] > 0:
         return Entry("position_gain", number(seen.gain[0]), "values: omega over x_d - x, which "
-                     f"explains {100 * min(seen.gain[1], 0.9999):.2f} % of omega")
+                     f"explains {100 * min(seen.gain[1], 0.9999):.2f} % of omega",
+                     off=round(LEANS * float(np.sqrt(max(1.0 - seen.gain[1], 0.0))), 3))
     told = f" (x_d - x explains {100 * seen.gain[1]:.0f} % of omega)" if seen.gain else ""
     return Entry("position_gain", "null", "pump speed over position error, rad/(s·m); null: "
                                           f"unknown{told}", True)
@@ -368,7 +379,8 @@ def tolerances(entries: list[Entry]) -> list[Entry]:
         of = (2 if entry.ask else 0 if entry.why == "answered" else 1)
         words = ("data sheet", "computed or seen", "nobody has told it")[of]
         unit = "a factor" if entry.key in _FACTORS else "relative"
-        found.append(Entry(entry.key, number(_TOLERANCES[entry.key][of]), f"{unit}; {words}"))
+        size = max(_TOLERANCES[entry.key][of], entry.off)
+        found.append(Entry(entry.key, number(size), f"{unit}; {words}"))
     return found
 
 
@@ -400,7 +412,7 @@ def seen_in(recording) -> Seen:
     if recording.has("x") and np.isfinite(recording.get("x")).any():
         span = float(np.nanmin(recording.get("x"))), float(np.nanmax(recording.get("x")))
     if recording.has("omega", "x", "x_d"):
-        gain = _slope(recording.get("omega"), recording.get("x_d") - recording.get("x"))
+        gain = _loop_gain(recording.get("omega"), recording.get("x_d") - recording.get("x"), step)
     if recording.has("p1", "p2"):
         charge = float(np.nanmedian(0.5 * (recording.get("p1") + recording.get("p2"))))
     if recording.has("omega", "x"):
@@ -414,6 +426,28 @@ def _trendless(values: np.ndarray) -> np.ndarray:
     place = np.arange(len(values))
     good = np.isfinite(values)
     return values - np.polyval(np.polyfit(place[good], values[good], 1), place)
+
+
+def _loop_gain(omega: np.ndarray, error: np.ndarray, step: float) -> tuple[float, float] | None:
+    """Return K_pos of omega + tau omega' = K_pos (x_d - x), and the share that it explains.
+
+    Least squares, tau beside K_pos: a lag that is left out makes the gain too small. So do samples
+    in which the drive gives the highest speed that it has: what asks for more is left out.
+    """
+    plain = _slope(omega, error)
+    if plain is None:
+        return None
+    wanted, top = np.abs(plain[0] * error), float(np.nanmax(np.abs(omega)))
+    good = np.isfinite(omega) & np.isfinite(error) & (wanted < FREE * top)
+    rate = np.gradient(omega, step)
+    good &= np.isfinite(rate)
+    if good.sum() < 100 or not np.std(omega[good]):
+        return plain
+    columns = np.column_stack([error, -rate])[good]
+    found, *_ = np.linalg.lstsq(columns / columns.std(axis=0), omega[good], rcond=None)
+    left = omega[good] - (columns / columns.std(axis=0)) @ found
+    return (float(found[0] / columns[:, 0].std()),
+            1.0 - float(np.var(left) / np.var(omega[good])))
 
 
 def _slope(left: np.ndarray, right: np.ndarray) -> tuple[float, float] | None:

@@ -18,6 +18,7 @@ from eha_monitor.mismatch.likelihood.fit import (
     step_within,
     whitener,
 )
+from eha_monitor.mismatch.likelihood.invariance import at_prior
 from eha_monitor.mismatch.name.columns import ALWAYS, Columns
 from eha_monitor.mismatch.name.gram import under
 from eha_monitor.physics.contributions import with_place
@@ -192,6 +193,12 @@ def _polished(experiment: Experiment, fit: Fit, known: dict[str, np.ndarray], st
             fresh = True
         else:  # near the optimum a step leaves fresh slopes as good as fresh
             fresh = fresh and gained < ROUGHLY
+    # Where no recording can tell, what is known beforehand decides, and no slope's last digit.
+    for other in at_prior(free, theta, fit.active):
+        moved = innovations(experiment, other, fit.active, fit.gains)
+        reached = log_likelihood_of(moved) + prior_exponent(free, other)
+        if reached > best:
+            theta, e, best = other, moved, reached
     covariance = fit.covariance
     if information is not None:
         try:  # in units of each parameter's own deviation: a leakage is 1e-12, a modulus 1e9
