@@ -7,7 +7,7 @@ from functools import cached_property
 import numpy as np
 
 from eha_monitor import ties
-from eha_monitor.balances.alone import covariance_by_chance, form_and_doubts
+from eha_monitor.balances.alone import covariance_by_chance, form_and_doubts, movement
 from eha_monitor.balances.candidates import DRY, Candidate, balances_in, candidates_of
 from eha_monitor.balances.course import Course
 from eha_monitor.balances.least_squares import weights_of
@@ -574,11 +574,17 @@ def _load(machine: Machine, one: MachineBalance, table: Table, now: dict[str, fl
     here, stddev = float(found[rows].mean()), float(np.sqrt(np.mean(stddevs[rows] ** 2)))
     mean = float(np.mean(load.value))
     spread = float(np.hypot(np.std(load.value, ddof=1), machine.pieces * policy.between * mean))
-    spread = max(spread, float(np.median(load.stddev)))
-    t = (here - mean) / np.hypot(spread * np.sqrt(1.0 + 1.0 / runs), stddev)
+    # Areas that are off are off in all recordings: by what the pressures differ, and no more.
+    shared = movement(table, own).mean(axis=0) - np.mean(load.doubts, axis=0) if (
+        load.doubts) else np.zeros(1)
+    apart = float(np.linalg.norm((
+        max(spread, float(np.median(load.own_stddev))) * np.sqrt(1.0 + 1.0 / runs), stddev,
+        *shared)))
+    t = (here - mean) / apart
     limit = limit_of(runs, 1.0, policy.false)
     if not abs(t) > limit or not abs(here - mean) > policy.worse * table.size:
         return None
     c = replace(table.candidates[table.places[own[0]] - 1], name=load.name)
+    spread = max(spread, float(np.median(load.stddev)))
     return Moved(c, here, float(np.hypot(stddev, spread)), mean, spread, float(t), limit, 0.0,
-                 FORCE_OF_SENSORS)
+                 FORCE_OF_SENSORS, apart)

@@ -8,7 +8,13 @@ from pathlib import Path
 import numpy as np
 from pydantic import TypeAdapter
 
-from eha_monitor.balances.alone import FIRST_VIEW, Refused, between_forms, form_and_doubts
+from eha_monitor.balances.alone import (
+    FIRST_VIEW,
+    Refused,
+    between_forms,
+    form_and_doubts,
+    movement,
+)
 from eha_monitor.balances.candidates import (
     Candidate,
     Scale,
@@ -66,7 +72,13 @@ class Parameter:
 
 @dataclass(frozen=True)
 class Setting:
-    """A number that belongs to the setting of each recording; ``varies`` beyond its deviations."""
+    """A number that belongs to the setting of each recording; ``varies`` beyond its deviations.
+
+    Attributes
+    ----------
+    doubts : per recording, how far it goes with each doubt of the left side (areas, lateness),
+        which are in ``stddev``, and the same in all recordings of a machine; empty in older files.
+    """
 
     name: str
     effect: str
@@ -75,6 +87,13 @@ class Setting:
     value: tuple[float, ...]
     stddev: tuple[float, ...]
     varies: bool
+    doubts: tuple[tuple[float, ...], ...] = ()
+
+    @property
+    def own_stddev(self) -> np.ndarray:
+        """Standard deviations without what the recordings of a machine have in common."""
+        shared = np.array([np.linalg.norm(one) for one in self.doubts] or [0.0])
+        return np.sqrt(np.maximum(np.array(self.stddev) ** 2 - shared**2, 0.0))
 
 
 @dataclass(frozen=True)
@@ -354,9 +373,11 @@ def _balance(kind: str, courses: Sequence[Course], scale: Scale, rig: Rig,
     settings = tuple(
         Setting(name, of[name].effect, of[name].words, of[name].unit, tuple(value.tolist()),
                 tuple(np.hypot(stddev, more).tolist()),
-                varies(value, stddev, float(np.median(sizes)), policy))
-        for name, value, stddev, more in zip(fit.settings, fit.setting.T, fit.setting_stddev.T,
-                                             lasting.T, strict=True))
+                varies(value, stddev, float(np.median(sizes)), policy), _rows(doubts))
+        for name, value, stddev, more, doubts in zip(
+            fit.settings, fit.setting.T, fit.setting_stddev.T, lasting.T,
+            np.array([movement(table, fit.settings) for table in tables]).swapaxes(0, 1),
+            strict=True))
     weights = dict(zip(fit.names, fit.value.tolist(), strict=True))
     usual, loose = usual_of(settings, of)
     weights |= usual
