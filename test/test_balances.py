@@ -235,6 +235,19 @@ def test_a_load_in_which_the_healthy_agree_may_change(settings):
     assert against(healthy, [stranger(8)], settings, ("healthy",) * 4).verdict == "consistent"
 
 
+def test_areas_that_are_off_are_off_in_the_healthy_recordings_as_well(settings):
+    """A tenth of both areas is 30 N and more of any load, and nothing of a difference of loads."""
+    rig = settings.rig.model_copy(update={"tolerance": settings.rig.tolerance.model_copy(
+        update={"area_1": 0.1, "area_2": 0.1})})
+    loose = settings.model_copy(update={"rig": rig})
+    healthy = healthy_machine([stranger(seed) for seed in range(4)], loose)
+    (change,) = against(healthy, [stranger(7, load=438.0)], loose, ("healthy",) * 4).changes
+    assert change.what == "constant_load" and change.now.stddev > 30.0
+    assert against(healthy, [stranger(8)], loose, ("healthy",) * 4).verdict == "consistent"
+    load = next(one for one in healthy["force"].settings if one.name == "F_0")
+    assert (load.own_stddev < 0.3 * np.array(load.stddev)).all()
+
+
 def test_loads_that_differ_are_compared_with_their_scatter(settings):
     """A platform carries 300 to 380 N in health; before, no load was then ever a change."""
     healthy = healthy_machine([stranger(seed, load=300.0 + 20.0 * seed) for seed in range(5)],

@@ -46,6 +46,7 @@ from eha_monitor.settings.rig import Rig
 from eha_monitor.words import effect_words, listed
 
 SHARED = 0.5  # of a deviation: less of it is of the difference, so that is told too
+LOWEST = 0.05  # of the lowest pressure: less of it is no change
 FASTER = 1.2  # times the references' speed: beyond it nothing is known of the machine
 WHAT = {"B": "B", "C_h": "beta_e", "D_p": "pump_displacement"}
 EFFECTS = {"viscous_damping": "B", "compliance": "beta_e"}
@@ -90,6 +91,9 @@ def against(machine: Machine, recordings: Sequence[Recording], settings: Setting
             verdict, changes, judged = "mismatch", (*changes, oil), softer
         else:
             verdict = "unexplained"
+    source = _source(machine, courses, rig)
+    if source is not None and verdict != "unexplained":
+        verdict, changes = "mismatch", (*changes, source)
     models = [_model(one) for one in judged.balances]
     effects = tuple(_effect(one, change, models) for one, change in zip(
         moved, changes, strict=False) if change.symbol)
@@ -264,6 +268,27 @@ def _oil(machine: Machine, stiffness: Stiffness) -> Change | None:
     return Change("beta_e", "", "flow", healthy, now, "Pa", (
         f"{WORDS['C_h']} is {with_uncertainty(now.value, now.stddev, 'Pa')}, where "
         f"{_runs(machine)} have {with_uncertainty(healthy.value, healthy.stddev, 'Pa')}"))
+
+
+def _source(machine: Machine, courses: Sequence[Course], rig: Rig) -> Change | None:
+    """Return how the pressure of what feeds an empty chamber has changed, if farther than healthy.
+
+    By Student's t for one further recording, and by more than ``LOWEST`` of itself.
+    """
+    found = [one for course in courses if np.isfinite(one := course.lowest(rig))]
+    count = len(machine.lowest)
+    if not found or count < machine.policy.fewest or machine.pieces:
+        return None
+    of, here = float(np.mean(machine.lowest)), float(np.mean(found))
+    spread = max(float(np.std(machine.lowest, ddof=1)), 1e-3 * of)
+    far = limit_of(count, 1.0, machine.policy.false) * spread * np.sqrt(1.0 + 1.0 / count)
+    if not abs(here - of) > max(far, LOWEST * of):
+        return None
+    healthy, now = Value(of, spread, "Pa"), Value(here, spread, "Pa")
+    return Change("charge_pressure", "", "flow", healthy, now, "Pa", (
+        "the lowest pressure of a chamber, that of what feeds it (accumulator, make-up valve), is "
+        f"{with_uncertainty(here, spread, 'Pa')}, where {_runs(machine)} have "
+        f"{with_uncertainty(of, spread, 'Pa')}"), ("pressure_offset",))
 
 
 def _effect(moved: Moved, change: Change, models: Sequence[Model]) -> NamedEffect:

@@ -31,6 +31,7 @@ from eha_monitor.recordings.recording import Recording, between_stops, sample_of
 from eha_monitor.settings.monitor import Settings
 from eha_monitor.settings.rig import Rig
 
+LOW = 0.05  # of the samples of the lower pressure: what stands for its lowest
 BAND = 5.0  # Hz: pass band of every balance; wider ones are for motions beyond it
 MOTION = 4.0  # bands: pass band of the motion
 STEPS = 8  # of the effects' memory in a sample: a line is faster than the grid
@@ -214,6 +215,17 @@ class Course:
     def absolute(self, pressure: np.ndarray, rig: Rig) -> np.ndarray:
         """Return the absolute pressure of a reading, Pa."""
         return pressure + rig.ambient_pressure if self.gauge else pressure
+
+    def lowest(self, rig: Rig) -> float:
+        """Return the lowest absolute pressure of both chambers, Pa; NaN where one is not measured.
+
+        What feeds a chamber that runs empty (an accumulator, a make-up valve, the tank) sets it,
+        and neither load nor temperature moves it much.
+        """
+        if self.p1 is None or self.p2 is None or not self.good.any():
+            return float("nan")
+        both = np.minimum(*(self.absolute(p, rig) for p in (self.p1, self.p2)))
+        return float(np.quantile(both[self.good], LOW))
 
     def floor(self, balance: str, rig: Rig) -> float:
         """Return the rms that the sensors alone leave in a balance in its band, SI."""

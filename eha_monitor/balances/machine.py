@@ -193,6 +193,8 @@ class Machine:
     oil : whose oil its pump presses (:class:`Course`).
     viscosity : of the oil in each recording, over that at the reference temperature; empty where
         not all of them measure its temperature.
+    lowest : absolute pressure of each recording, Pa (:meth:`Course.lowest`); empty where
+        not all measure both, and in older files.
     """
 
     rig: str
@@ -209,6 +211,7 @@ class Machine:
     displacement: float | None = None
     oil: str = ""
     viscosity: tuple[float, ...] = ()
+    lowest: tuple[float, ...] = ()
 
     def __getitem__(self, balance: str) -> MachineBalance:
         return next(one for one in self.balances if one.balance == balance)
@@ -237,7 +240,7 @@ class Machine:
             "odd": self.odd,
             "stiffness": self.stiffness, "areas": self.areas, "mass": self.mass,
             "displacement": self.displacement, "scale": self.scale,
-            "oil": self.oil, "viscosity": self.viscosity,
+            "oil": self.oil, "viscosity": self.viscosity, "lowest": self.lowest,
             "policy": self.policy, "balances": self.balances})
 
 
@@ -309,10 +312,12 @@ def machine_from(courses: Sequence[Course], rig: Rig, vary: Sequence[str], witho
     sources = tuple(Path(one.source).name or f"recording {i + 1}"
                     for i, one in enumerate(courses))
     viscosity = tuple(course.viscosity for course in courses)
+    lowest = tuple(course.lowest(rig) for course in courses)
     return Machine(rig.name, sources, scale, bool(varied), pieces, tuple(found),
                    _odd(sources, found, policy), policy, stiffness_of(courses, rig),
                    (rig.area_1, rig.area_2), rig.mass, rig.pump_displacement,
-                   courses[0].oil, viscosity if np.isfinite(viscosity).all() else ())
+                   courses[0].oil, viscosity if np.isfinite(viscosity).all() else (),
+                   lowest if np.isfinite(lowest).all() else ())
 
 
 def pressure_varied(courses: Sequence[Course], policy: Policy) -> bool:

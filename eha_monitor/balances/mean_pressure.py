@@ -25,7 +25,6 @@ from eha_monitor.settings.monitor import Settings
 from eha_monitor.settings.rig import Rig
 
 EFFECT = "external_leakage"
-LOW = 0.05  # of the samples of the lower pressure: what stands for its lowest
 
 
 def leak_or_source(courses: Sequence[Course], settings: Settings, displacement: float | None,
@@ -83,5 +82,4 @@ def _means(course: Course, rig: Rig, displacement: float) -> tuple[float, float,
     good = course.good
     both = np.stack([course.absolute(p, rig) for p in (course.p1, course.p2)])[:, good]
     more = (rig.area_1 - rig.area_2) * (course.v - displacement * course.omega / rig.area_1)
-    return (float(both.mean()), float(more[good].mean()),
-            float(np.quantile(both.min(axis=0), LOW)))
+    return float(both.mean()), float(more[good].mean()), course.lowest(rig)
