@@ -24,6 +24,7 @@ from eha_monitor.balances.together import of_one_machine
 from eha_monitor.concealed.cases import Case
 from eha_monitor.mismatch.diagnose import diagnose
 from eha_monitor.physics.effects import CATALOGUE
+from eha_monitor.quantity import quantity
 from eha_monitor.recordings import columns
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings import settings_from_tree
@@ -246,6 +247,17 @@ def test_areas_that_are_off_are_off_in_the_healthy_recordings_as_well(settings):
     assert against(healthy, [stranger(8)], loose, ("healthy",) * 4).verdict == "consistent"
     load = next(one for one in healthy["force"].settings if one.name == "F_0")
     assert (load.own_stddev < 0.3 * np.array(load.stddev)).all()
+
+
+def test_a_spring_beside_a_load_is_told_as_the_force_at_nil(settings):
+    """4000 (x - 0.2) + 338 N is -462 N at x = 0; where a spring relaxes no recording tells."""
+    found = answered([stranger(5, spring=4000.0)], settings)
+    named = {effect.name: effect for effect in found.effects}
+    spring, load = named["spring_load"].parameters, named["constant_load"].parameters["F_0"]
+    assert found.config_effects["spring_load"]["x_0"] == 0.0
+    assert spring["k"].value == pytest.approx(4000.0, rel=0.1)
+    assert load.value == pytest.approx(-462.0, abs=3.0 * load.stddev)
+    assert named["constant_load"].size == quantity(abs(load.value), "N", 3)
 
 
 def test_loads_that_differ_are_compared_with_their_scatter(settings):

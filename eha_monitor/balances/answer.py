@@ -209,7 +209,9 @@ def _composed(models: Sequence[Model], courses: Sequence[Course], settings: Sett
     rig = settings.rig
     varying = [one.balance for one in models if only_load(one, policy)]
     models = [one.load_alone() if one.balance in varying else one for one in models]
-    wrong = tuple(finding for one in models for finding in wrong_numbers(one, rig, policy))
+    # A number that leaves its balance open is no explanation: a drive at its limit has no gain.
+    wrong = tuple(finding for one in models if one.named or one.error <= policy.near
+                  for finding in wrong_numbers(one, rig, policy))
     within = tuple(finding for one in models for finding in numbers_within(one, rig, policy))
     effects = [effect for one in models for effect in effects_of(one, rig, policy,
                                                                 settings.effects)]

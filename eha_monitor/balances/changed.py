@@ -104,7 +104,9 @@ def against(machine: Machine, recordings: Sequence[Recording], settings: Setting
         tuple(one.source for one in recordings), verdict,
         _message(verdict, changes, judged, _runs(machine), tuple(
             _in_share(one, _change(one, machine, settings, stiffness)) for one in judged.small
-            if one.candidate.balance not in {change.balance for change in changes})),
+            if one.candidate.balance not in {change.balance for change in changes}), tuple(
+            _change(one, machine, settings, stiffness).statement for balance in judged.balances
+            for one in balance.nearest)),
         where, effects,
         _health(machine, judged, stiffness, before=True),
         _health(machine, judged, stiffness, before=False),
@@ -257,7 +259,7 @@ def _oil(machine: Machine, stiffness: Stiffness) -> Change | None:
     By the prediction interval of Student's t for one further observation.
     """
     of, count = machine.stiffness, machine.stiffness.count
-    if count < machine.policy.fewest or not np.isfinite(stiffness.stddev):
+    if count < machine.policy.fewest or not machine.policy.sure(*stiffness.modulus):
         return None
     spread = np.hypot(of.between, of.stddev * np.sqrt(count)) * np.sqrt(1.0 + 1.0 / count)
     limit = limit_of(count, 1.0, machine.policy.false)
@@ -356,12 +358,13 @@ def _left(one: JudgedBalance) -> str:
 
 
 def _message(verdict: str, changes: Sequence[Change], judged: Judged, runs: str,
-             small: Sequence[str]) -> str:
+             small: Sequence[str], nearest: Sequence[str]) -> str:
     """Return the answer in a sentence: what changed, what did too little to matter, or nothing.
 
     Parameters
     ----------
     small : statements of what surely differs but is too small to matter.
+    nearest : those of what fits best and explains nothing.
     """
     if changes:
         said = "; ".join(one.statement + _or_a_sensor(one) for one in changes)
@@ -383,8 +386,9 @@ def _message(verdict: str, changes: Sequence[Change], judged: Judged, runs: str,
     said = [_left(one) if one.foreign else
             f"{one.balance}: {share(one.error, 2)} of it unexplained, at most "
             f"{share(one.usual, 2)} in the healthy recordings" for one in judged.loud]
-    return "an effect that is not in the catalogue has changed" + (
-        f"; {listed(said)}" if said else "")
+    said += [f"nearest to it, and no explanation, is that {one}" for one in nearest]
+    return "what has changed is not one of the numbers that the machine has" + (
+        f"; {'; '.join(said)}" if said else "")
 
 
 def _advice(machine: Machine, courses: Sequence[Course], references: tuple[str, ...],

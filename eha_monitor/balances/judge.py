@@ -77,6 +77,7 @@ class JudgedBalance:
     free : terms of the recording's own setting.
     alone : what is left where all terms and changes are fitted to the recording itself, over the
         most that the terms leave so of one of the machine's own.
+    nearest : changes that fit best, of a balance that no numbers describe: they explain nothing.
     """
 
     balance: str
@@ -94,11 +95,20 @@ class JudgedBalance:
     each: tuple[Table, ...] = ()
     small: Moved | None = None
     alone: float = 0.0
+    nearest: tuple[Moved, ...] = ()
 
     @property
     def foreign(self) -> bool:
         """Whether no numbers of the machine's terms describe the recording as they do its own."""
         return self.alone > MANY
+
+    def refused(self) -> "JudgedBalance":
+        """Return the balance without its changes, which leave many times what healthy ones do.
+
+        A speed limit was told so as a gain of the drive, surely, and play as one.
+        """
+        return replace(self, now=self.held, after=self.error, changed=(), complete=False,
+                       small=None, nearest=self.changed)
 
     def with_change(self, moved: Moved) -> "JudgedBalance":
         """Return the balance with one more change of a number that the machine has."""
@@ -194,8 +204,9 @@ def judge(machine: Machine, courses: Sequence[Course], settings: Settings) -> Ju
             machine)
         names = {*one.terms, *(moved.candidate.name for moved in beside.changed)}
         left = left_alone(table, (c for name in sorted(names) for c in columns_of(name, table)))
-        found.append(replace(beside, each=tuple(tables), alone=left / max(
-            *one.alone, table.floor) if one.alone else 0.0))
+        beside = replace(beside, each=tuple(tables), alone=left / max(
+            *one.alone, table.floor) if one.alone else 0.0)
+        found.append(beside.refused() if beside.foreign and beside.changed else beside)
         fitted = list(dict.fromkeys([
             *(name for name in found[-1].now if name in table.places), *free]))
         # All together: else damping takes up the friction that came.

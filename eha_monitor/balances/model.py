@@ -48,6 +48,7 @@ class Term:
     whole : (value, stddev) of the quantity that it is a part of, the sum of its terms; of a
         setting's number by how much it is usually off nil.  None: its own.
     fall : of the deviation what is open of how friction falls with speed: a size, no name.
+    offset : constant that it is told with beyond its column, SI: see :func:`relaxed_at_zero`.
     """
 
     candidate: Candidate
@@ -62,6 +63,7 @@ class Term:
     rivals: tuple[str, ...] = ()
     whole: tuple[float, float] | None = None
     fall: float = 0.0
+    offset: float = 0.0
 
     @property
     def quantity(self) -> tuple[float, float]:
@@ -212,22 +214,27 @@ def _terms_alone(whole: Table, found: Alone, count: int, policy: Policy) -> tupl
 
 
 def relaxed_at_zero(terms: tuple[Term, ...], policy: Policy) -> tuple[Term, ...]:
-    """Return terms in which a spring beside the load that cancels it at x = 0 is a spring alone.
+    """Return terms in which a spring beside a load is relaxed at x = 0, alone if that is all.
 
     The column of a spring is k (x - x_0) with x_0 where the motion begins, so that it is not that
-    of a load F_0; k (x - x_0) + F_0 is k x where F_0 is k x_0.
+    of a load F_0.  Of k (x - x_0) + F_0 no recording tells x_0 from F_0: what it knows is the
+    force at x = 0, F_0 - k x_0, and that is what the load is then.
     """
     spring = next((t for t in terms if t.named and t.candidate.effect == "spring_load"), None)
-    load = next((t for t in terms if t.named and t.candidate.effect == LOAD and not t.each), None)
+    load = next((t for t in terms if t.named and t.candidate.effect == LOAD), None)
     if spring is None or load is None:
         return terms
-    x_0 = dict(spring.candidate.shape)["x_0"]
-    if abs(load.value - spring.value * x_0) > policy.varied * np.hypot(
-            load.stddev, x_0 * spring.stddev):
-        return terms
-    relaxed = replace(spring, candidate=replace(spring.candidate, shape=(("x_0", 0.0),)))
-    return tuple(relaxed if term is spring else replace(term, named=False) if term is load
-                 else term for term in terms)
+    shift = spring.value * dict(spring.candidate.shape)["x_0"]
+    stddev = float(np.hypot(load.stddev, dict(spring.candidate.shape)["x_0"] * spring.stddev))
+    each = tuple(value - shift for value in load.each)
+    value = load.value - shift
+    there = bool(each) or abs(value) > policy.varied * stddev
+    size = rms(each) if each else value
+    moved = replace(load, value=value, stddev=stddev, each=each, named=there, offset=-shift,
+                    whole=None if load.whole is None else (size, stddev))
+    relaxed = replace(spring, offset=shift, candidate=replace(spring.candidate,
+                                                              shape=(("x_0", 0.0),)))
+    return tuple(relaxed if term is spring else moved if term is load else term for term in terms)
 
 
 def _left(table: Table, names: Sequence[str]) -> float:

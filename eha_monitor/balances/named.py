@@ -206,8 +206,9 @@ def _said(term: Term) -> str:
 
 def size_of(terms: Sequence[Term], model: Model) -> str:
     """Return how much terms do at their largest, in words."""
-    made = np.concatenate([np.abs(one[table.good]) for one, table in zip(
-        made_by(terms, model), model.tables, strict=True)])
+    made = np.concatenate([np.abs(one[table.good] + sum(term.offset for term in terms))
+                           for one, table in zip(made_by(terms, model), model.tables,
+                                                 strict=True)])
     return quantity(float(np.quantile(made, LARGEST)), SIDES[model.balance], 3)
 
 

@@ -110,9 +110,13 @@ class Table:
         """Largest parameter of each term, (1 + k,): its limit, and what more would cancel.
 
         A term that is larger than ``CANCELS`` times the whole left side only makes up for another.
-        Of a load over the stroke the mean is none of it: that is the constant load's.
+        Of a load over the stroke the mean is none of it: that is the constant load's.  A drive's
+        limit takes away from what is asked for, which may be many times what it gives.
         """
-        whole = np.quantile(np.abs(self.rows[self.good, 0] + self.known[self.good]), TOP)
+        left = [self.rows[self.good, 0] + self.known[self.good]]
+        if self.candidates[0].balance == "drive":
+            left.append(self.known[self.good])
+        whole = max(np.quantile(np.abs(one), TOP) for one in left)
         mean = self.rows[self.good].mean(axis=0) * [0, *(
             one.family == "position" for one in self.candidates)]
         most = CANCELS * whole / np.maximum(

@@ -44,7 +44,7 @@ LEARNED = ("warn", "Effect not in the catalogue, learned from the recording")
 AGAINST_HEALTHY = {
     "consistent": ("ok", "No change from the healthy recordings"),
     "mismatch": ("warn", "Change identified"),
-    "unexplained": ("error", "Changed, by an effect not in the catalogue"),
+    "unexplained": ("error", "Changed, unexplained"),
 }
 WRONG_NUMBERS = ("warn", "Wrong rig data explain the mismatch; no effect is missing")
 UNSURE = ("warn", "Mismatch; none of the names for it is more likely than not")

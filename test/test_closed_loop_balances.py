@@ -1,0 +1,88 @@
+"""A position loop around a pump: its drive's limit, and the pressure of what feeds the chambers.
+
+The rig is written here with a few lines: the piston takes what the pump gives, the pressures what
+the force asks for.  Nothing of the simulator or of the catalogue takes part.
+"""
+
+import numpy as np
+import pytest
+from machine_tools import healthy_machine
+
+from eha_monitor.balances.answer import answered
+from eha_monitor.balances.changed import against
+from eha_monitor.recordings.recording import Recording
+from eha_monitor.settings import settings_from_tree
+
+AREA, PUMP, GAIN, MASS, DAMPING = 1.4e-3, 1.9e-7, 1.5e5, 180.0, 4000.0
+DT, SECONDS, LAG, HELD = 4e-3, 24.0, 6e-3, ("h",) * 5
+
+
+def loop(seed, limit=np.inf, source=5e5, amplitude=0.02):
+    """Return a recording; ``limit`` of the drive in rad/s, ``source`` pressure in Pa."""
+    rng = np.random.default_rng(seed)
+    fine = 8
+    h = DT / fine
+    t = np.arange(0.0, SECONDS, h)
+    x_d = sum(amplitude / k * np.sin(2 * np.pi * 0.37 * k * t + phase)
+              for k, phase in zip((1, 2.3, 4.1), rng.uniform(0, 6, 3), strict=True))
+    x, omega = np.empty_like(t), np.empty_like(t)
+    now, speed = x_d[0], 0.0
+    for i, wanted in enumerate(x_d):
+        x[i], omega[i] = now, speed
+        speed += (np.clip(GAIN * (wanted - now), -limit, limit) - speed) * h / LAG
+        now += PUMP / AREA * speed * h
+    v = PUMP / AREA * omega
+    force = MASS * np.gradient(v, h) + DAMPING * v + 300.0 * np.tanh(v / 1e-3)
+    channels = {
+        "x": x + 2e-6 * rng.standard_normal(len(t)), "x_d": x_d,
+        "omega": omega + 0.1 * rng.standard_normal(len(t)),
+        "p1": source + np.maximum(force, 0.0) / AREA + 2e3 * rng.standard_normal(len(t)),
+        "p2": source + np.maximum(-force, 0.0) / AREA + 2e3 * rng.standard_normal(len(t))}
+    return Recording(DT, {name: values[::fine] for name, values in channels.items()},
+                     source=f"loop {seed}")
+
+
+@pytest.fixture(scope="module")
+def settings():
+    return settings_from_tree({"rig": {
+        "name": "loop", "area_1": AREA, "area_2": AREA, "volume_1": 1.2e-4, "volume_2": 1.2e-4,
+        "mass": MASS, "viscous_damping": DAMPING, "pump_displacement": PUMP,
+        "position_gain": GAIN, "charge_pressure": 5e5, "sample_time": DT}}, "loop")
+
+
+@pytest.fixture(scope="module")
+def healthy(settings):
+    return healthy_machine([loop(seed) for seed in range(5)], settings)
+
+
+def test_a_healthy_one_is_left_alone(healthy, settings):
+    for seed in (10, 11, 12):
+        assert against(healthy, [loop(seed)], settings, HELD).verdict == "consistent"
+
+
+@pytest.mark.parametrize(("source", "seed"), [(1.5e5, 20), (9e5, 21), (4e5, 22)])
+def test_another_pressure_of_the_source_is_a_change(healthy, settings, source, seed):
+    found = against(healthy, [loop(seed, source=source)], settings, HELD)
+    (change,) = found.changes
+    assert found.verdict == "mismatch" and change.what == "charge_pressure"
+    assert change.now.value - change.reference.value == pytest.approx(source - 5e5, abs=2e3)
+    assert change.reference.value == pytest.approx(5e5, rel=0.03)  # its band rings a little
+    assert "pressure_offset" in change.indistinguishable_from
+
+
+def test_a_drive_at_its_limit_is_no_change_of_its_gain(healthy, settings):
+    top = np.abs(loop(30).channels["omega"]).max()
+    found = against(healthy, [loop(30, limit=0.4 * top)], settings, HELD)
+    assert found.verdict == "unexplained" and not found.changes
+    assert "drive: the machine's terms fitted anew leave" in found.message
+    assert "nearest to it, and no explanation" in found.message
+
+
+def test_a_limit_far_below_what_is_asked_for_is_named(settings):
+    """What the limit takes away is several times what the drive gives."""
+    top = np.abs(loop(30).channels["omega"]).max()
+    found = answered([loop(30, limit=0.3 * top)], settings)
+    named = {effect.name: effect for effect in found.effects}
+    assert "drive_saturation" in named and not found.rig_data
+    assert named["drive_saturation"].parameters["omega_max"].value == pytest.approx(
+        0.3 * top, rel=0.03)
