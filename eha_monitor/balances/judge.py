@@ -206,7 +206,8 @@ def judge(machine: Machine, courses: Sequence[Course], settings: Settings) -> Ju
         left = left_alone(table, (c for name in sorted(names) for c in columns_of(name, table)))
         beside = replace(beside, each=tuple(tables), alone=left / max(
             *one.alone, table.floor) if one.alone else 0.0)
-        found.append(beside.refused() if beside.foreign and beside.changed else beside)
+        found.append(beside.refused() if beside.foreign and beside.changed and (
+            beside.after > beside.usual) else beside)
         fitted = list(dict.fromkeys([
             *(name for name in found[-1].now if name in table.places), *free]))
         # All together: else damping takes up the friction that came.
