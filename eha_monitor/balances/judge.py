@@ -26,6 +26,7 @@ WEARS = "F_c"
 OIL = ("compliance", "entrained_air")  # that every machine has, however little it does
 OF_PLACE = ("spring_load", "position_load")  # they hold a load of their own
 ERROR = 1.5  # times the largest of the machine's own recordings: the balance does not belong
+MUCH = 0.15  # of what came: right names leave 0.05 to 0.09 of it, wrong ones 0.24 to 0.8
 MANY = 3.0  # times as much where all is fitted anew: the same, however little of the signal it is
 
 
@@ -101,6 +102,15 @@ class JudgedBalance:
     def foreign(self) -> bool:
         """Whether no numbers of the machine's terms describe the recording as they do its own."""
         return self.alone > MANY
+
+    @property
+    def hollow(self) -> bool:
+        """Whether its changes leave many times what healthy recordings do, and much of what came.
+
+        A leak that grew tenfold leaves more of a rough law as well, but a twentieth of what came.
+        """
+        return self.foreign and bool(self.changed) and self.after > max(
+            self.usual, MUCH * self.error)
 
     def refused(self) -> "JudgedBalance":
         """Return the balance without its changes, which leave many times what healthy ones do.
@@ -206,8 +216,7 @@ def judge(machine: Machine, courses: Sequence[Course], settings: Settings) -> Ju
         left = left_alone(table, (c for name in sorted(names) for c in columns_of(name, table)))
         beside = replace(beside, each=tuple(tables), alone=left / max(
             *one.alone, table.floor) if one.alone else 0.0)
-        found.append(beside.refused() if beside.foreign and beside.changed and (
-            beside.after > beside.usual) else beside)
+        found.append(beside.refused() if beside.hollow else beside)
         fitted = list(dict.fromkeys([
             *(name for name in found[-1].now if name in table.places), *free]))
         # All together: else damping takes up the friction that came.
