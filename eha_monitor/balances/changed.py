@@ -14,7 +14,7 @@ import numpy as np
 
 from eha_monitor.balances.answer import overlay_of, place_of, still
 from eha_monitor.balances.candidates import SIDES, balances_in
-from eha_monitor.balances.course import Course, courses_of
+from eha_monitor.balances.course import BOTH, Course, courses_of
 from eha_monitor.balances.judge import (
     Judged,
     JudgedBalance,
@@ -275,8 +275,11 @@ def _oil(machine: Machine, stiffness: Stiffness) -> Change | None:
 def _source(machine: Machine, courses: Sequence[Course], rig: Rig) -> Change | None:
     """Return how the pressure of what feeds an empty chamber has changed, if farther than healthy.
 
-    By Student's t for one further recording, and by more than ``LOWEST`` of itself.
+    By Student's t for one further recording, and by more than ``LOWEST`` of itself.  Behind a
+    valve, and where chambers are closed to each other, a load moves the lower pressure.
     """
+    if machine.oil == BOTH or not all(course.has_flow for course in courses):
+        return None
     found = [one for course in courses if np.isfinite(one := course.lowest(rig))]
     count = len(machine.lowest)
     if not found or count < machine.policy.fewest or machine.pieces:
@@ -412,7 +415,7 @@ def _advice(machine: Machine, courses: Sequence[Course], references: tuple[str, 
     return tuple(found)
 
 
-BOTH = ("B", "L")
+VISCOUS = ("B", "L")
 
 
 def beside_viscosity(machine: Machine, judged: Judged, viscosity: float) -> Judged:
@@ -469,14 +472,14 @@ def _beside_the_other(machine: Machine, judged: Judged) -> Moved | None:
     Nor is it said beside what moves either by itself: another leak, or a sensor of pressure.
     """
     policy, of = machine.policy, judged.of
-    if any(name not in judged.values for name in BOTH) or any(
-            moved.candidate.name in BOTH or moved.candidate.family == "gap"
+    if any(name not in judged.values for name in VISCOUS) or any(
+            moved.candidate.name in VISCOUS or moved.candidate.family == "gap"
             or set(FORCE_OF_SENSORS) & set(moved.rivals) for moved in judged.changed):
         return None
-    more = np.array([of["L"].configured if name == "L" else 0.0 for name in BOTH])
+    more = np.array([of["L"].configured if name == "L" else 0.0 for name in VISCOUS])
     found = _steady_sum(machine, more)
     value, total, chance = (np.array(row) for row in zip(
-        *(judged.values[name] for name in BOTH), strict=True))
+        *(judged.values[name] for name in VISCOUS), strict=True))
     if found is None or not (value + more > 0.0).all():
         return None
     logs, noise = found
@@ -491,9 +494,9 @@ def _beside_the_other(machine: Machine, judged: Judged) -> Moved | None:
     warm = np.abs(here - means)[::-1] / spreads
     i = int(np.argmin(warm))
     healthy = float(np.exp(means.sum() - here[1 - i]))
-    rivals = (of[BOTH[1 - i]].effect,) if warm[1 - i] < policy.varied else ()
-    rivals += FORCE_OF_SENSORS[:1] if BOTH[i] == "L" else ()  # its zero makes a leak where none is
-    return Moved(of[BOTH[i]], float(value[i]), float(total[i]), healthy - float(more[i]),
+    rivals = (of[VISCOUS[1 - i]].effect,) if warm[1 - i] < policy.varied else ()
+    rivals += FORCE_OF_SENSORS[:1] if VISCOUS[i] == "L" else ()  # its zero makes a leak
+    return Moved(of[VISCOUS[i]], float(value[i]), float(total[i]), healthy - float(more[i]),
                  healthy * float(np.hypot(spread, noise)), t, limit, rivals=rivals,
                  apart=healthy * abs(float(np.expm1(off) / t)),
                  given=f" with the oil that the {('leakage', 'damping')[i]} shows")
@@ -529,7 +532,7 @@ def _steady_sum(machine: Machine, more: np.ndarray) -> tuple[np.ndarray, float] 
     ----------
     more : what the config has of both beside, (2,).
     """
-    rows = [(value + held, deviation) for name, held in zip(BOTH, more, strict=True)
+    rows = [(value + held, deviation) for name, held in zip(VISCOUS, more, strict=True)
             for value, deviation in _of_references(machine, name)]
     if machine.pieces or len(rows) < 2 or any((value <= 0.0).any() for value, _ in rows):
         return None
