@@ -165,6 +165,13 @@ def test_pressures_that_are_never_both_there_are_no_warning(recording):
     assert estimate(Recording(1e-3, channels), settings()).parameters
 
 
+def test_one_pressure_beside_a_measured_force_is_no_flow_balance(recording):
+    channels = {name: values[:1200].copy() for name, values in recording.channels.items()
+                if name in ("x", "omega", "p1")}
+    force = 0.01 * np.gradient(channels["x"])
+    assert estimate(Recording(1e-3, channels | {"force": force}), settings()).parameters
+
+
 @given(spoilt, lengths, kept_channels)
 @hypothesis_settings(max_examples=30, deadline=20_000)
 def test_any_values_leave_the_live_estimator_standing(recording, spoils, n, kept):

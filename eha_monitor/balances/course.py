@@ -141,8 +141,8 @@ class Course:
     @property
     def has_flow(self) -> bool:
         """Whether it holds a flow balance."""
-        return self.ratio is not None and self.p1 is not None and (
-            self.omega is not None and bool(np.any(self.omega[self.good])))
+        needed = (self.ratio, self.p1, self.p2, self.omega)
+        return all(one is not None for one in needed) and bool(np.any(self.omega[self.good]))
 
     @cached_property
     def mean_of_both(self) -> bool:
