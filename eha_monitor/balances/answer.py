@@ -244,7 +244,7 @@ def _composed(models: Sequence[Model], courses: Sequence[Course], settings: Sett
         message = "; ".join([*(one.statement for one in (*wrong, *effects)), *(
             f"of what varies in the {one.balance}, {share(one.error, 2)} has no name"
             for one in models if one.balance in varying), *map(_unsure_words, unsure)]) or (
-            "the config's own model explains the balances of this recording")
+            _agreeing_words(models, policy))
     return Diagnosis(
         (), verdict, message, where, tuple(effects), before, after, "held_out",
         {one.balance: SignalFit(SIDES[one.balance], one.nominal_error * one.size,
@@ -272,6 +272,15 @@ def _warmed(models: Sequence[Model], policy: Policy) -> tuple[str, ...]:
     return (f"viscous damping {'falls' if by < 0.0 else 'rises'} by "
             f"{with_uncertainty(abs(by), 2.0 * drift.quantity[1], drift.candidate.unit)} within "
             f"{'the usual' if drift.each else 'the'} recording, as in oil that warms or cools",)
+
+
+def _agreeing_words(models: Sequence[Model], policy: Policy) -> str:
+    """Return that nothing is missing that has a name, and what is left all the same."""
+    left = [f"{share(one.error, 2)} of the {one.balance}" for one in models
+            if one.error > max(policy.worse, policy.clean * one.floor / one.size)]
+    return "the config's own model explains the balances of this recording" + (
+        f" but for {listed(left)}, of which no effect of the catalogue explains more" if left
+        else "")
 
 
 def _unsure_words(one: Model) -> str:
