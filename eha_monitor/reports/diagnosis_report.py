@@ -126,7 +126,9 @@ def _curve_note(found: Diagnosis, curve: diagnosis.Curve) -> str:
     elif found.verdict == "consistent":
         note = "Residual of the model: noise about zero."
     else:
-        note = f"{dots}: measured term that the model lacks. No effect of the catalogue fits."
+        fits = ("None of the machine's numbers explains it." if found.references else
+                "No effect of the catalogue fits.")
+        note = f"{dots}: measured term that the model lacks. {fits}"
     return note
 
 

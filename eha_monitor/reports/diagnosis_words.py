@@ -151,6 +151,9 @@ def _look_yourself(found: Diagnosis, bags: str) -> list[str]:
     if not found.references:
         steps.append(f"compare with recordings of the healthy machine: `eha-monitor diagnose "
                      f"{bags} --reference HEALTHY ...` says whether it has always been so")
+    else:
+        steps.append(f"`eha-monitor diagnose {bags}` without `--reference` fits laws that the "
+                     "healthy machine has not had, such as a limit of the drive")
     steps.append("test a law that you suspect: `--hypothesis FILE` (docs/effects.md)")
     return steps
 
