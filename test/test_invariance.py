@@ -114,7 +114,7 @@ def test_at_the_prior_is_where_the_priors_are_likeliest_and_the_recording_says_t
 def test_slopes_are_made_nil_along_a_direction_only_where_they_nearly_are(experiment):
     rng = np.random.default_rng(1)
     fit = with_all_free(experiment)
-    along = tangents(fit.free, fit.theta, fit.active)
+    along = tangents(fit.free, fit.theta, directions(fit.free, fit.theta, fit.active))
     slopes = rng.standard_normal((len(fit.free), 500))
     assert consistent(slopes, along) is slopes  # the data can tell
     u = along[1]

@@ -224,10 +224,9 @@ def relaxed_at_zero(terms: tuple[Term, ...], policy: Policy) -> tuple[Term, ...]
     load = next((t for t in terms if t.named and t.candidate.effect == LOAD), None)
     if spring is None or load is None:
         return terms
-    shift = spring.value * dict(spring.candidate.shape)["x_0"]
-    stddev = float(np.hypot(load.stddev, dict(spring.candidate.shape)["x_0"] * spring.stddev))
-    each = tuple(value - shift for value in load.each)
-    value = load.value - shift
+    x_0 = dict(spring.candidate.shape)["x_0"]
+    shift, stddev = spring.value * x_0, float(np.hypot(load.stddev, x_0 * spring.stddev))
+    value, each = load.value - shift, tuple(value - shift for value in load.each)
     there = bool(each) or abs(value) > policy.varied * stddev
     size = rms(each) if each else value
     moved = replace(load, value=value, stddev=stddev, each=each, named=there, offset=-shift,

@@ -438,16 +438,13 @@ def _loop_gain(omega: np.ndarray, error: np.ndarray, step: float) -> tuple[float
     if plain is None:
         return None
     wanted, top = np.abs(plain[0] * error), float(np.nanmax(np.abs(omega)))
-    good = np.isfinite(omega) & np.isfinite(error) & (wanted < FREE * top)
     rate = np.gradient(omega, step)
-    good &= np.isfinite(rate)
+    good = np.isfinite(rate) & np.isfinite(omega) & (wanted < FREE * top)
     if good.sum() < 100 or not np.std(omega[good]):
         return plain
-    columns = np.column_stack([error, -rate])[good]
-    found, *_ = np.linalg.lstsq(columns / columns.std(axis=0), omega[good], rcond=None)
-    left = omega[good] - (columns / columns.std(axis=0)) @ found
-    return (float(found[0] / columns[:, 0].std()),
-            1.0 - float(np.var(left) / np.var(omega[good])))
+    columns, there = np.column_stack([error, -rate])[good], omega[good]
+    found = np.linalg.lstsq(columns, there, rcond=None)[0]
+    return float(found[0]), 1.0 - float(np.var(there - columns @ found) / np.var(there))
 
 
 def _slope(left: np.ndarray, right: np.ndarray) -> tuple[float, float] | None:

@@ -71,10 +71,11 @@ def directions(free: Sequence[Free], theta: np.ndarray, active: np.ndarray
     return found
 
 
-def tangents(free: Sequence[Free], theta: np.ndarray, active: np.ndarray) -> np.ndarray:
-    """Return the invariant directions at ``theta`` in the fitted coordinates, (m, k)."""
+def tangents(free: Sequence[Free], theta: np.ndarray, ways: Sequence[Mapping[int, float]]
+             ) -> np.ndarray:
+    """Return :func:`directions` at ``theta`` in the fitted coordinates, (m, k)."""
     return np.array([[moved.get(f.place, 0.0) * (1.0 if f.log else theta[f.place]) for f in free]
-                     for moved in directions(free, theta, active)]).reshape(-1, len(free))
+                     for moved in ways]).reshape(-1, len(free))
 
 
 def consistent(slopes: np.ndarray, along: np.ndarray) -> np.ndarray:
@@ -107,9 +108,9 @@ def at_prior(free: Sequence[Free], theta: np.ndarray, active: np.ndarray) -> lis
     found, ways = [], directions(free, theta, active)
     weight = np.array([f.spread for f in free]) ** -2.0
     behind = np.array([f.prior - f.inward(theta[f.place]) for f in free])
-    slopes = tangents(free, theta, active)
+    along = tangents(free, theta, ways)
     for which in [[i] for i in range(len(ways))] + ([[*range(len(ways))]] if ways[1:] else []):
-        u = slopes[which]
+        u = along[which]
         shares = np.linalg.solve((u * weight) @ u.T, (u * weight) @ behind)
         other = theta.copy()
         for i, share in zip(which, shares, strict=True):

@@ -18,7 +18,7 @@ from eha_monitor.mismatch.diagnosis import (
 )
 from eha_monitor.mismatch.likelihood.along import contributed
 from eha_monitor.mismatch.likelihood.fit import Fit, Free, sensitivities, step_of, whitener
-from eha_monitor.mismatch.likelihood.invariance import consistent, tangents
+from eha_monitor.mismatch.likelihood.invariance import consistent, directions, tangents
 from eha_monitor.mismatch.name.columns import rig_free
 from eha_monitor.mismatch.name.gates import at_bound
 from eha_monitor.mismatch.name.naming import Naming
@@ -139,8 +139,8 @@ def robust(experiment: Experiment, fit: Fit, of_rig: bool = True) -> Fit:
     slopes = sensitivities(experiment, fit.theta, fit.active, fit.gains, fit.e,
                            [step_of(f, fit.theta, experiment.log_step) for f in whole])
     d = np.stack([np.nan_to_num(slope) @ w.T for slope in slopes])
-    d = consistent(d.reshape(len(whole), -1), tangents(whole, fit.theta, fit.active)
-                   ).reshape(d.shape)
+    along = tangents(whole, fit.theta, directions(whole, fit.theta, fit.active))
+    d = consistent(d.reshape(len(whole), -1), along).reshape(d.shape)
     length = max(1, round(BLOCK / experiment.dt))
     count = max(1, white.shape[0] // length)
     pulls = np.stack([np.einsum("kic,ic->k", part, r) for part, r in zip(
