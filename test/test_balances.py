@@ -7,6 +7,7 @@ import pytest
 from machine_tools import healthy_machine, stranger, stranger_settings
 from mismatch_tools import recorded
 from rig_tools import settings as rig_settings
+from scipy.signal import lfilter
 from test_filters_effects import CASES, recording_of
 
 from eha_monitor.balances.alone import alone
@@ -503,3 +504,41 @@ def test_a_number_within_its_tolerance_is_told(settings):
     (within,) = found.rig_within
     assert within.key == "pump_displacement" and "three of its tolerances" in within.statement
     assert abs(within.found.value - pump) < 2.0 * within.found.stddev
+
+
+def test_a_force_that_keeps_one_value_is_no_balance(settings):
+    """Both pressures frozen, or a rest within their last digit: the calculation broke down."""
+    one = stranger(0, **CALM)
+    frozen = {name: np.full(len(one), 2e6) for name in ("p1", "p2")}
+    found = answered([replace(one, channels={**one.channels, **frozen})], settings)
+    assert found.verdict == "insufficient_data" and "keeps one value" in found.message
+    assert found.baselines[0].force is None
+
+
+def test_damping_beside_laws_that_fit_as_well_is_as_unsure(settings):
+    """Dry friction and drag by the square, hidden together in gusts: B stands for all three."""
+    apart = []
+    for seed in range(5):
+        course = course_of(stranger(seed, **CALM), settings)
+        v, top, a = course.v, course.speed, np.exp(-2.0 * course.dt)
+        force = 400.0 * (top * course.direction + v) + 700.0 / top * v * np.abs(v)
+        gust = lfilter([np.sqrt(1.0 - a * a)], [1.0, -a],
+                       np.random.default_rng(seed).standard_normal(len(v)))
+        b = damping(force + 0.1 * force.std() * gust, course, settings)
+        apart.append((b.value - 400.0) / b.stddev)
+    assert np.sqrt(np.mean(np.square(apart))) < 1.3  # 1.9 with each law's own share left out
+
+
+def test_what_falls_with_speed_keeps_what_it_falls_from(settings):
+    """A Stribeck term and a dry one that cannot bear it, both in most halves: a traceback."""
+    course = course_of(stranger(2, **CALM), settings)
+    v, top = course.v, course.speed
+    assert damping(course.force + 3000.0 / top * v * np.abs(v) - 2100.0 * v, course, settings)
+
+
+def damping(force, course, settings):
+    """Return B as the balance of a force alone says, with nothing of it known."""
+    here = replace(course, force=force)
+    (table,) = tables_of([here], settings.rig, "force", candidates_of(
+        "force", Scale.of([here]), settings.rig), POLICY)
+    return next(name for name in alone(table, POLICY).names if name.term == "B")

@@ -9,8 +9,9 @@ it leaves no more on unseen parts than the config's own does, and than ten lines
 """
 
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import chain, combinations
 
 import numpy as np
 
@@ -167,8 +168,10 @@ class _Choice:
         effects, families, terms = Counter(), Counter(), Counter()
         for fit, judge in self.halves:
             chosen = chosen_on(self.table, (fit, judge), self.always, self.allowed, policy)
-            effects.update({of[name].effect for name in chosen})
-            families.update({of[name].kind for name in chosen if not of[name].always})
+            # In the order of the choice: a set's own is another one in each process.
+            effects.update(list(dict.fromkeys(of[name].effect for name in chosen)))
+            families.update(list(dict.fromkeys(of[name].kind for name in chosen
+                                               if not of[name].always)))
             terms.update(chosen)
         kept = list(self.always)
         for family, count in families.most_common():
@@ -178,6 +181,7 @@ class _Choice:
                        if of[name].kind == family and not of[name].always]
             steady = [name for name in members
                       if effects[of[name].effect] >= policy.stable * policy.halves]
+            steady = list({of[name].effect: name for name in reversed(steady)}.values())[::-1]
             steady = steady or members[:1]
             if founded(steady, of) != steady:  # halves share what is added, not what it adds to
                 steady.insert(0, next(name for name in (*members, *self.allowed) if of[name].bears
@@ -300,7 +304,8 @@ def between_forms(of: Mapping[str, Candidate], allowed: Sequence[str], kept: Seq
     unseen, parameters : of names of terms: what they leave on unseen parts; their values.
     """
     kept = list(kept)
-    values, most = np.asarray(parameters(kept)), unseen(kept) * np.exp(policy.alone)
+    values, least = np.asarray(parameters(kept)), unseen(kept)
+    most = least * np.exp(policy.alone)
     moved = [np.zeros(len(kept))]
     for i, name in enumerate(kept):
         others = [other for other in allowed if of[name].variant
@@ -313,12 +318,25 @@ def between_forms(of: Mapping[str, Candidate], allowed: Sequence[str], kept: Seq
                 if form[i] != name and of[other].unit != of[name].unit:
                     found[i] = values[i]  # another quantity
                 moved.append(found - values)
-    kinds, grow = {of[name].kind for name in kept}, np.array([of[name].power > 0 for name in kept])
-    for name in FIRST_VIEW:  # damping takes up what of them a motion does not show
-        if name in allowed and of[name].kind not in kinds and unseen([*kept, name]) <= most:
-            found = np.asarray(parameters([*kept, name]))[: len(kept)]
+    grow = np.array([of[name].power > 0 for name in kept])
+    for more in _laws_beside(kept, of, allowed):
+        if unseen([*kept, *more]) <= least:
+            found = np.asarray(parameters([*kept, *more]))[: len(kept)]
             moved.append(np.where(grow, found - values, 0.0))
     return np.array(moved)
+
+
+def _laws_beside(kept: Sequence[str], of: Mapping[str, Candidate], allowed: Sequence[str]
+                 ) -> Iterator[tuple[str, ...]]:
+    """Yield what damping may have taken up: laws of friction and the mass, each and together.
+
+    Along one motion B stands for dry friction and quadratic damping as well, which are as large
+    together as neither is alone.
+    """
+    kinds = {of[name].kind for name in kept}
+    free = [name for name in (*FIRST_VIEW, "a_1") if name in allowed and name not in kept
+            and of[name].kind not in kinds]
+    yield from chain.from_iterable(combinations(free, count + 1) for count in range(len(free)))
 
 
 def wholes_of(terms: Sequence[Candidate], values: Sequence[float], covariance: np.ndarray,

@@ -88,7 +88,7 @@ def answered(recordings: Sequence[Recording], settings: Settings, asked: Asked =
     started, rig = time.perf_counter(), settings.rig
     recordings, courses, left_out = courses_of(recordings, settings)
     baselines = tuple(baseline(recording, settings) for recording in recordings)
-    if not any(course.moving.any() for course in courses):
+    if not any(course.shows for course in courses):
         return still(recordings, courses, baselines, started)
     courses, scale, machine = of_one_machine(courses, rig, policy), Scale.of(courses), None
     own, untestable = (), ()
@@ -189,10 +189,13 @@ def still(recordings: Sequence[Recording], courses: Sequence[Course], baselines:
     """Return the answer for recordings in which nothing moves."""
     moved = max(float(np.ptp(course.x)) for course in courses)
     noise = max(course.sensors["x"] for course in courses)
+    small = (f"the piston moves by {quantity(moved, 'm', 2)} only, with "
+             f"{quantity(noise, 'm', 2)} of noise: too little motion to identify anything")
+    frozen = (f"the piston moves by {quantity(moved, 'm', 2)}, and the force on it keeps one "
+              "value to the last digit: it is not measured, or changes by less than a digit")
     return Diagnosis(
         tuple(one.source for one in recordings), "insufficient_data",
-        f"the piston moves by {quantity(moved, 'm', 2)} only, with {quantity(noise, 'm', 2)} of "
-        "noise: too little motion to identify anything",
+        frozen if any(course.moving.any() for course in courses) else small,
         Location(dict.fromkeys(WHERE, 0.0), "", ()), (), {}, {}, "held_out", {},
         baselines=baselines, duration_s=sum(one.duration for one in recordings),
         wall_s=time.perf_counter() - started)

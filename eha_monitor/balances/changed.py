@@ -69,7 +69,7 @@ def against(machine: Machine, recordings: Sequence[Recording], settings: Setting
     """
     started, rig = time.perf_counter(), settings.rig
     recordings, courses, left_out = courses_of(recordings, settings)
-    if not any(course.moving.any() for course in courses):
+    if not any(course.shows for course in courses):
         return replace(still(recordings, courses, (), started), references=references)
     courses = machine.moved(courses)
     apart = _apart(machine, balances_in(courses, rig), settings, references)

@@ -49,6 +49,7 @@ DESIGNS = 64  # low-passes that are kept
 CHANNELS = ("x", "x_d", "omega", "omega_d", "p1", "p2", "force")
 IN_TURN, CHAMBER_1, BOTH = "in_turn", "chamber_1", "both"  # whose oil a pump presses
 CLOSED = 0.75  # of what the higher pressure rises, the lower one falls
+ROUNDING = 1e-9  # of its size: what changes less keeps one value
 GAUGE = 0.5  # of the ambient pressure: a reading below is no absolute pressure
 
 
@@ -137,6 +138,14 @@ class Course:
     def step(self) -> float:
         """Spacing of the compared points, s."""
         return self.every * self.dt
+
+    @property
+    def shows(self) -> bool:
+        """Whether the piston moves in it, and the force with it."""
+        pressures = [one for one in (self.p1, self.p2) if one is not None]
+        return bool(self.moving.any()) and all(any(
+            changes(one[self.good]) for one in signals)
+            for signals in ([self.force], pressures or [self.force]))
 
     @property
     def has_flow(self) -> bool:
@@ -352,6 +361,11 @@ def _gaps(missing: np.ndarray, short: int) -> np.ndarray:
     return found
 
 
+def changes(values: np.ndarray) -> bool:
+    """Tell whether values are more than one, but for rounding."""
+    return bool(np.ptp(values) > ROUNDING * np.abs(values).max())
+
+
 def courses_of(recordings: Sequence[Recording], settings: Settings
                ) -> tuple[list[Recording], list[Course], tuple[str, ...]]:
     """Return the recordings that hold a motion, their motions, and why others are left out.
@@ -373,7 +387,7 @@ def courses_of(recordings: Sequence[Recording], settings: Settings
     if not courses:
         raise problems[0]
     lines = [f"left out: {problem}" for problem in problems]
-    moves = [bool(course.moving.any()) for course in courses]
+    moves = [course.shows for course in courses]
     if any(moves):  # at rest a seal holds whatever load there is
         lines += [f"left out: {one.source}: nothing moves in it"
                   for one, there in zip(kept, moves, strict=True) if not there]

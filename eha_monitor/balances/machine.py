@@ -256,7 +256,7 @@ def healthy_machine_of(courses: Sequence[Course], settings: Settings, policy: Po
     InputError
         If nothing moves in them, or so few are too short to be cut.
     """
-    if not any(course.moving.any() for course in courses):
+    if not any(course.shows for course in courses):
         raise InputError(f"{courses[0].source}: expected a reference recording in which the "
                          "piston moves, found none")
     courses = of_one_machine(courses, settings.rig, policy)

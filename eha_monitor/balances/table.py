@@ -15,6 +15,7 @@ from eha_monitor.settings.rig import Rig
 CANCELS, TOP = 2.0, 0.998  # quantile that is a column's largest value
 FOLDS = 5  # parts of a recording that are left out in turn
 PARTS = 8  # of a short recording at least, so that some can be left out
+STILL = 1e-150  # of a signal that does not change; its square is a number still
 
 
 @dataclass(frozen=True)
@@ -206,7 +207,7 @@ def tables_of(courses: Sequence[Course], rig: Rig, balance: str,
         rows = course.in_band(np.column_stack([whole, known, *doubts, *(row[i] for i in kept)]))
         good = course.compared(course.counted(balance))
         signal = rows[good, 0] - (rows[good, 0].mean() if own_load else 0.0)
-        size = max(float(np.sqrt(np.mean(signal**2))), 1e-300)
+        size = max(float(np.sqrt(np.mean(signal**2))), STILL)
         first = 2 + len(doubts)
         known, doubts = rows[:, 1], rows[:, 2:first]
         rows = np.column_stack([rows[:, 0] - known, rows[:, first:]])
