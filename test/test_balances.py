@@ -261,6 +261,30 @@ def test_a_spring_beside_a_load_is_told_as_the_force_at_nil(settings):
     assert named["constant_load"].size == quantity(abs(load.value), "N", 3)
 
 
+def test_a_spring_that_the_config_has_too_stiff_is_told_as_it_is(settings):
+    """Only a stiffer one could be told: 4 % too much was a load over the stroke, 20 of 21."""
+    one = stranger(0, **CALM)
+    held = {"spring_load": {"k": 9e3, "x_0": 0.2}}
+    recordings = [pulled(stranger(seed, **CALM), 8e3, 0.2, settings) for seed in (0, 1, 2)]
+    found = answered(recordings[:1], with_effects(settings, **held))
+    (spring,) = [effect for effect in found.effects if effect.name == "spring_load"]
+    value = spring.parameters["k"]
+    assert abs(value.value - 8e3) < 3.0 * value.stddev < 1e3
+    assert "x = 200 mm; the config has 9000 N/m" in spring.statement
+    assert "position_load" not in {effect.name for effect in found.effects}
+    changed = against(healthy_machine(recordings, with_effects(settings, **held)),
+                      [pulled(one, 10e3, 0.2, settings)], with_effects(settings, **held), ())
+    (spring,) = [one for one in changed.changes if one.what == "spring_load"]
+    assert abs(spring.reference.value - 8e3) < 200.0 and abs(spring.now.value - 10e3) < 200.0
+
+
+def pulled(one, k, x_0, settings):
+    """Return a recording with a spring on the rod."""
+    force = k * (one.channels["x"] - x_0)
+    return replace(one, channels={
+        **one.channels, "p1": one.channels["p1"] + force / settings.rig.area_1})
+
+
 def test_loads_that_differ_are_compared_with_their_scatter(settings):
     """A platform carries 300 to 380 N in health; before, no load was then ever a change."""
     healthy = healthy_machine([stranger(seed, load=300.0 + 20.0 * seed) for seed in range(5)],

@@ -20,6 +20,7 @@ from eha_monitor.balances.machine import load, save
 from eha_monitor.balances.policy import POLICY
 from eha_monitor.balances.table import tables_of
 from eha_monitor.balances.together import Recordings, pooled, without
+from eha_monitor.balances.warmth import damping_at
 from eha_monitor.commands.diagnose import diagnose as command
 from eha_monitor.errors import InputError
 from eha_monitor.mismatch.compared import compared
@@ -229,6 +230,29 @@ def test_a_damping_that_the_warmth_would_cover_is_compared_at_one_temperature(se
         if measured:
             b = 1500.0 * np.exp(-law.coefficient * (45.0 - law.reference_temperature))
             assert worn.changes[0].reference.value == pytest.approx(b, rel=0.05)
+
+
+def test_cold_oil_of_another_law_is_no_worn_machine(settings):
+    """27 degrees beside 36 to 46: B was called changed, though the temperature was measured."""
+    steeper = 1.3 * settings.viscosity.coefficient  # than the config's, which is nobody's oil
+
+    def warm(seed, temperature, worn=1.0):
+        b = worn * 1500.0 * np.exp(-steeper * (temperature - 40.0))
+        found = stranger(seed, rise=0.0, damping=(b, b), seconds=16.0)
+        found.channels["temperature"] = np.full(len(found), temperature)
+        return found
+
+    known = machine_of([warm(seed, degrees) for seed, degrees in enumerate(
+        (36.5, 39.0, 41.0, 43.5, 46.0))], settings)
+    cold, worn = (against(known, [warm(10 + i, 27.0, grown)], settings, known.sources)
+                  for i, grown in enumerate((1.0, 1.5)))
+    assert cold.verdict == "consistent" and [one.what for one in worn.changes] == ["B"]
+    b = 1500.0 * np.exp(13.0 * steeper)
+    assert cold.before["B"].value == pytest.approx(b, rel=0.05)
+    assert damping_at(known, np.nan) is None
+    alike = replace(known, viscosity=(1.0,) * 5)  # where they say nothing of the law, it is 30 %
+    at = damping_at(alike, np.exp(0.5))
+    assert at.law == pytest.approx(0.15) and at.stddev > 0.15 * at.value
 
 
 def test_the_balances_compare_first_whatever_the_config_holds():

@@ -10,7 +10,7 @@ the config: its mass, leakage, effects and drive are subtracted before (:func:`c
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -124,6 +124,11 @@ class Candidate:
             return DRY, ""
         return self.effect, self.symbol or self.name
 
+    def beside(self, effects: Mapping[str, Mapping[str, float]]) -> "Candidate":
+        """Return the term beside the config's effects, of which it is what comes on top."""
+        held = effects.get(self.effect, {}).get(self.symbol, 0.0)
+        return replace(self, configured=self.configured + held) if held else self
+
     def adds_to(self, one: "Candidate") -> bool:
         """Tell whether it adds to another's number: so does friction's rise at low speed."""
         return self.quantity == one.quantity or one.quantity == (self.family, "")
@@ -185,6 +190,7 @@ class Scale:
     ``origin`` and ``span`` hold all of them, ``travel`` and ``speed`` are usual, ``slowest`` is
     the top speed of the slowest; ``tops`` speeds of the pump, one for each of ``TOPS``.
     ``turns`` : each of them moves both ways; else a load of its own hides dry friction.
+    ``relaxed`` : where a spring is, that of the config, or one more than its is at the origin.
     """
 
     origin: float
@@ -194,6 +200,7 @@ class Scale:
     slowest: float
     tops: tuple[float, ...] = ()
     turns: bool = True
+    relaxed: float = 0.0
 
     @classmethod
     def of(cls, courses: Sequence[Course]) -> "Scale":
@@ -206,7 +213,8 @@ class Scale:
                    float(np.median([c.speed for c in courses])),
                    min(c.speed for c in courses),
                    tuple(np.quantile(np.concatenate(pumps), TOPS).tolist()) if pumps else (),
-                   all(turned(c) for c in courses if c.moving.any()))
+                   all(turned(c) for c in courses if c.moving.any()),
+                   courses[0].effects.get("spring_load", {}).get("x_0", low))
 
 
 BOTH = 0.05  # of the moving samples: a recording that turns round has more either way
@@ -279,8 +287,8 @@ def force_candidates(scale: Scale, rig: Rig) -> tuple[Candidate, ...]:
             lambda c, r: c.v * np.abs(c.v), family="viscous", symbol="a_1", power=2.0),
         one("dB", "asymmetric_friction", "N·s/m", "damping more forwards than the mean", 0,
             lambda c, r: np.abs(c.v), family="viscous", symbol="dB", odd=False, power=1.0),
-        one("k", "spring_load", "N/m", "spring", 1, lambda c, r: c.x - origin,
-            family="position", symbol="k", shape=(("x_0", origin),),
+        one("k", "spring_load", "N/m", "spring", 1, lambda c, r: c.x - scale.relaxed,
+            family="position", symbol="k", shape=(("x_0", scale.relaxed),),
             twins=("position_scale",)),
     ]
     for i, share in enumerate(BENT, start=1):

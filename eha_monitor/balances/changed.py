@@ -29,6 +29,7 @@ from eha_monitor.balances.named import FORCE_OF_SENSORS, size_of
 from eha_monitor.balances.parameters import Stiffness, stiffness_of
 from eha_monitor.balances.policy import POLICY, Policy
 from eha_monitor.balances.scatter import limit_of
+from eha_monitor.balances.warmth import at_oil, damping_at, viscosity_of
 from eha_monitor.errors import InputError
 from eha_monitor.mismatch.diagnosis import (
     Change,
@@ -73,8 +74,7 @@ def against(machine: Machine, recordings: Sequence[Recording], settings: Setting
         return replace(still(recordings, courses, (), started), references=references)
     courses = machine.moved(courses)
     apart = _apart(machine, balances_in(courses, rig), settings, references)
-    judged = beside_viscosity(machine, judge(machine, courses, settings),
-                              float(np.mean([course.viscosity for course in courses])))
+    judged = beside_viscosity(machine, judge(machine, courses, settings), viscosity_of(courses))
     stiffness = stiffness_of(courses, rig)
     judged = replace(judged, balances=tuple(replace(one, changed=tuple(
         moved for moved in one.changed if not _as_stiff(moved, machine, stiffness)))
@@ -108,8 +108,8 @@ def against(machine: Machine, recordings: Sequence[Recording], settings: Setting
             _change(one, machine, settings, stiffness).statement for balance in judged.balances
             for one in balance.nearest)),
         where, effects,
-        _health(machine, judged, stiffness, before=True),
-        _health(machine, judged, stiffness, before=False),
+        _health(machine, judged, stiffness, viscosity_of(courses), before=True),
+        _health(machine, judged, stiffness, viscosity_of(courses), before=False),
         "held_out", {one.balance: SignalFit(
             SIDES[one.balance], one.nominal_error * one.size, one.error * one.size, one.floor,
             signal_rms=one.size) for one in models}, curves,
@@ -182,9 +182,7 @@ def _in_words(moved: Moved, settings: Settings, oils: tuple[Stiffness, Stiffness
     oils : what the oil of the machine and of the recordings is by itself.
     """
     rig, c = settings.rig, moved.candidate
-    held = settings.effects.get(c.effect, {}).get(c.symbol, 0.0)
-    if c.name == "L":  # as it is, not what is beyond the config's
-        held += c.configured
+    held = 0.0 if c.name == "dM" else c.configured  # a mass as what is beyond the config's
     pair = (moved.machine + held, moved.spread), (moved.here + held, moved.stddev)
     if c.sign > 0:  # what cannot be negative and is so by chance is nil
         pair = tuple((max(value, 0.0) if POLICY.varied * stddev > -value else value, stddev)
@@ -311,11 +309,14 @@ def _effect(moved: Moved, change: Change, models: Sequence[Model]) -> NamedEffec
                        effective_samples=model.effective)
 
 
-def _health(machine: Machine, judged: Judged, stiffness: Stiffness, before: bool
+def _health(machine: Machine, judged: Judged, stiffness: Stiffness, viscosity: float, before: bool
             ) -> dict[str, Value]:
-    """Return B and beta_e of the machine with their spread, or those of the recordings."""
+    """Return B and beta_e of the machine with their spread, or those of the recordings.
+
+    The machine's B is that of the recordings' oil where their temperature is measured.
+    """
     found = {}
-    of = [(balance, p) for balance in machine.balances for p in balance.parameters]
+    of = [(balance, p) for balance in at_oil(machine, viscosity) for p in balance.parameters]
     for balance, p in [pair for pair in of if pair[1].name == "B"]:
         form = balance.form_of.get("B", 0.0)
         between = max(p.between, LEAST * machine.policy.between * abs(p.value))  # its oil's
@@ -440,30 +441,17 @@ def beside_viscosity(machine: Machine, judged: Judged, viscosity: float) -> Judg
 
 
 def _at_temperature(machine: Machine, judged: Judged, viscosity: float) -> Moved | None:
-    """Return B where it has changed at one temperature of the oil; None where nothing says so.
-
-    Where every recording measures the temperature the viscosity is known, and B over it is
-    compared; unless the law of viscosity makes the references more unlike than they are.
-    """
-    rows = _of_references(machine, "B")
-    if (machine.pieces or not machine.viscosity or not np.isfinite(viscosity) or len(rows) != 1
-            or len(rows[0][0]) < 2 or not (rows[0][0] > 0.0).all()
-            or not judged.values.get("B", (0.0,))[0] > 0.0
-            or any(moved.candidate.name == "B" for moved in judged.changed)):
+    """Return B where it has changed at one temperature of the oil; None where nothing says so."""
+    at, (value, total, chance) = damping_at(machine, viscosity), judged.values.get(
+        "B", (0.0, 0.0, 0.0))
+    if at is None or not value > 0.0 or any(
+            moved.candidate.name == "B" for moved in judged.changed):
         return None
-    (each, deviation), (value, total, chance) = rows[0], judged.values["B"]
-    logs, runs = np.log(each / np.array(machine.viscosity)), len(each)
-    spread, noise = float(logs.std(ddof=1)), float(np.median(deviation / each))
-    if spread > np.log(each).std(ddof=1):
-        return None
-    healthy = float(np.exp(logs.mean())) * viscosity
-    off = float(np.log(value / healthy))
-    t, limit = _t_of_next(off, spread, runs, (chance / value, noise), machine.policy)
+    t, limit = at.t_of(value, chance, machine.policy.false)
     if not abs(t) > limit:
         return None
-    return Moved(judged.of["B"], value, total, healthy, healthy * float(np.hypot(spread, noise)),
-                 t, limit, apart=healthy * abs(float(np.expm1(off) / t)),
-                 given=" at the temperature of its oil")
+    return Moved(judged.of["B"], value, total, at.value, at.stddev, t, limit,
+                 apart=abs((value - at.value) / t), given=" at the temperature of its oil")
 
 
 def _beside_the_other(machine: Machine, judged: Judged) -> Moved | None:

@@ -5,8 +5,8 @@ The balances are compared as they stand, with velocity and acceleration from the
 low-pass without phase, so that a linear law stays exactly that law whatever the band.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 from itertools import compress
 
@@ -87,6 +87,7 @@ class Course:
         where the motion itself is to say so.
     viscosity : of the oil at the temperature that the recording measures, over that at the
         reference temperature (``viscosity`` of the config); NaN where no channel has it.
+    effects : of the config, by name, SI; they are in ``known``.
     """
 
     source: str
@@ -115,6 +116,7 @@ class Course:
     moving: np.ndarray
     oil: str = ""
     viscosity: float = np.nan
+    effects: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return len(self.x)
@@ -339,7 +341,7 @@ def course_of(recording: Recording, settings: Settings, band: float = BAND) -> C
         0.5 * dt, passed(dt, band), bool(pressures) and min(
             float(np.quantile(p, 0.01)) for p in pressures) < GAUGE * rig.ambient_pressure,
         rig.area_2 / rig.area_1 if rig.area_1 and rig.area_2 else None, good, moving & good,
-        viscosity=_viscosity(recording, settings))
+        viscosity=_viscosity(recording, settings), effects=settings.effects)
     found.known.update(known_of(found, rig, theta, active))
     return found
 

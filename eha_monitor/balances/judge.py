@@ -1,6 +1,6 @@
 """The next recording of a machine: what of it has changed, in a fraction of a second."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -18,6 +18,7 @@ from eha_monitor.balances.policy import POLICY, Policy
 from eha_monitor.balances.scatter import Amplitudes, Scatter, amplitudes_of, limit_of, ridge_of
 from eha_monitor.balances.table import Table, pooled_table, tables_of
 from eha_monitor.balances.together import left_alone, setting_of, unseen
+from eha_monitor.balances.warmth import at_oil, viscosity_of
 from eha_monitor.settings.monitor import Settings
 from eha_monitor.words import effect_words, listed
 
@@ -189,7 +190,7 @@ def judge(machine: Machine, courses: Sequence[Course], settings: Settings) -> Ju
     """Judge motions of one state against a machine: together, by their balances alone."""
     rig, courses = settings.rig, machine.moved(courses)
     found, own, values, there = [], {}, {}, balances_in(courses, rig)
-    for one in machine.balances:
+    for one in at_oil(machine, viscosity_of(courses)):
         if one.balance not in there:
             continue
         candidates = tuple(c for c in candidates_of(one.balance, machine.scale, rig)
@@ -210,8 +211,7 @@ def judge(machine: Machine, courses: Sequence[Course], settings: Settings) -> Ju
                                    np.array(list(held.values())))
         own |= {name: (float(v), float(d)) for name, v, d in zip(free, value, stddev,
                                                                  strict=True)}
-        beside = _Beside(one, table, held, free, loose, settings.effects, machine.policy).judged(
-            machine)
+        beside = _Beside(one, table, held, free, loose, machine.policy).judged(machine)
         names = {*one.terms, *(moved.candidate.name for moved in beside.changed)}
         left = left_alone(table, (c for name in sorted(names) for c in columns_of(name, table)))
         beside = replace(beside, each=tuple(tables), alone=left / max(
@@ -245,7 +245,6 @@ class _Beside:
     ----------
     held : the machine's parameters; ``free`` terms of the recording's own setting.
     loose : spread of what a setting has beside its load.
-    effects : of the config, which the terms add to.
     """
 
     one: MachineBalance
@@ -253,7 +252,6 @@ class _Beside:
     held: dict[str, float]
     free: list[str]
     loose: dict[str, float]
-    effects: Mapping[str, Mapping[str, float]]
     policy: Policy
 
     @cached_property
@@ -263,8 +261,8 @@ class _Beside:
 
     @cached_property
     def signed(self) -> set[str]:
-        """Terms of which the config has no effect, so that their sign is that of physics."""
-        return {name for name, c in self.of.items() if c.sign and c.effect not in self.effects}
+        """Terms whose sign is that of physics: with what the config has, never less than nil."""
+        return {name for name, c in self.of.items() if c.sign}
 
     @cached_property
     def oil(self) -> dict[str, float]:
@@ -418,8 +416,7 @@ class _Beside:
     def owned(self, name: str) -> float:
         """Return what the machine has of a term's family, by that term, with the config's, SI."""
         c = self.of[name]
-        return (own_part(name, self.table, self.surely) + c.configured
-                + self.effects.get(c.effect, {}).get(c.symbol, 0.0))
+        return own_part(name, self.table, self.surely) + c.configured
 
     def matters(self, own: float, step: float, before: float, after: float) -> bool:
         """Tell whether a machine is repaired for a change.
@@ -494,7 +491,7 @@ class _Beside:
                            f"here from {listed([*map(effect_words, others)], 'or')}" if others
                            else "")
             before, after = beside.error(held), beside.error(now)
-            own = load.machine + self.effects.get(load.candidate.effect, {}).get(name, 0.0)
+            own = load.machine + load.candidate.configured
             if self.matters(own, load.here - load.machine, before, after):
                 changes.append(replace(load, removed=before - after))
             else:

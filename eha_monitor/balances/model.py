@@ -222,7 +222,7 @@ def relaxed_at_zero(terms: tuple[Term, ...], policy: Policy) -> tuple[Term, ...]
     """
     spring = next((t for t in terms if t.named and t.candidate.effect == "spring_load"), None)
     load = next((t for t in terms if t.named and t.candidate.effect == LOAD), None)
-    if spring is None or load is None:
+    if spring is None or load is None or spring.candidate.configured:  # relaxed at the config's
         return terms
     x_0 = dict(spring.candidate.shape)["x_0"]
     shift, stddev = spring.value * x_0, float(np.hypot(load.stddev, x_0 * spring.stddev))

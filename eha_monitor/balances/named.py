@@ -27,6 +27,7 @@ TWINS = {"mass": ("pressure_delay",), "pump_displacement": ("pump_flow_gain",),
          "position_gain": ("drive_gain",)}
 DRY_SYMBOLS = {"F_c", "F_d"}
 LARGEST = 0.998  # quantile of a term that is its size
+TOLD = 0.01  # a spread between recordings that is a smaller share is none to speak of
 
 
 Effects = Mapping[str, Mapping[str, float]]
@@ -112,11 +113,12 @@ def _effect(name: str, terms: Sequence[Term], model: Model, rig: Rig, held: Mapp
         p.name in values for p in entry.sizes if np.isfinite(p.neutral))
     sure = {symbol: to_digits(value.value, value.stddev)
             for symbol, value in values.items() if 0.0 < value.stddev < np.inf}
-    said = entry.said(numbers | sure) if whole else ""
+    grid = {key for term in terms if term.candidate.variant for key, _ in term.candidate.shape}
+    said = entry.said(numbers | sure, grid - values.keys()) if whole else ""
     if not said:
         said = "; ".join(_said(term) for term in terms)
-    spread = [f"{t.candidate.symbol or t.candidate.name} ± {share(t.between / abs(t.value), 2)} "
-              "from recording to recording" for t in terms if t.between and t.value]
+    spread = [f"{symbol} ± {share(apart, 2)} from recording to recording"
+              for symbol, apart in _between(terms, values).items() if apart > TOLD]
     rivals = tuple(dict.fromkeys(r for term in terms for r in (
         *term.rivals, *term.candidate.twins)))
     if name == "constant_load" and rig.area_1 and rig.area_2:
@@ -128,6 +130,17 @@ def _effect(name: str, terms: Sequence[Term], model: Model, rig: Rig, held: Mapp
         size_of(terms, model), probability=max(
             (t.probability for t in terms if np.isfinite(t.probability)), default=np.nan),
         effective_samples=model.effective, stability=max(first.stability, 0.0))
+
+
+def _between(terms: Sequence[Term], values: Mapping[str, Value]) -> dict[str, float]:
+    """Return the share by which each parameter differs from recording to recording."""
+    found: dict[str, float] = {}
+    for term in terms:
+        symbol = term.candidate.symbol or term.candidate.name
+        if symbol in values and values[symbol].value:
+            found[symbol] = float(np.hypot(found.get(symbol, 0.0),
+                                           term.between / values[symbol].value))
+    return found
 
 
 def error_of_area(rig: Rig, balance: str = "force") -> float:

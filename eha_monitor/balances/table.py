@@ -192,7 +192,7 @@ class Table:
 def tables_of(courses: Sequence[Course], rig: Rig, balance: str,
               candidates: Sequence[Candidate], policy: Policy) -> list[Table]:
     """Return the tables of recordings; candidates that one of them has no channel for go."""
-    columns = []
+    columns, candidates = [], [one.beside(courses[0].effects) for one in candidates]
     for course in courses:
         columns.append([one.column(course, rig) for one in candidates])
     kept = [i for i in range(len(candidates)) if all(

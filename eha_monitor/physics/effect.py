@@ -2,7 +2,7 @@
 
 import math
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 
 from eha_monitor.compiled import njit
@@ -74,10 +74,13 @@ class _Said:
 
     value: float
     unit: str
+    rough: bool = False
 
     def __format__(self, form: str) -> str:
         if not math.isfinite(self.value):
             return "∞"
+        if self.rough:
+            return f"about {quantity(float(f'{self.value:.0e}'), self.unit, 1)}"
         if form.endswith("%"):
             return ("+" if form[0] == "+" and self.value > 0 else "") + share(self.value)
         return (signed if form == "+" else quantity)(self.value, self.unit, 3)
@@ -181,13 +184,14 @@ class Effect:
         """The parameters without which the effect is absent."""
         return tuple(p for p in self.parameters if p.default is None)
 
-    def said(self, values: Mapping[str, float]) -> str:
+    def said(self, values: Mapping[str, float], rough: Collection[str] = ()) -> str:
         """Return the statement with its numbers; a limit that is infinite is left out.
 
         Parameters
         ----------
         values : value of each parameter in the statement by its name, SI.
+        rough : those that stand for what lies around them, and are no estimates.
         """
-        text = self.statement.format(**{p.name: _Said(values[p.name], p.unit)
+        text = self.statement.format(**{p.name: _Said(values[p.name], p.unit, p.name in rough)
                                         for p in self.parameters if p.name in values})
         return re.sub(r" and ∞|∞ and ", "", text)

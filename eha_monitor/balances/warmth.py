@@ -1,0 +1,103 @@
+"""Viscous damping of a machine at the temperature of the next recording's oil.
+
+B goes with the oil's viscosity nu (Merritt 1967).  Where every recording measures the temperature,
+
+    ln B_i = a + s ln nu_i + e_i,    s ~ N(1, LAW^2),
+
+says what a healthy machine has at another temperature: s = 1 by the config's law of viscosity,
+whose coefficient nobody has measured for this oil, and more surely from references that were
+recorded at several temperatures.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from eha_monitor.balances.course import Course
+from eha_monitor.balances.machine import Machine, MachineBalance
+from eha_monitor.balances.scatter import limit_of
+
+LAW = 0.3  # spread of s: coefficients of hydraulic oils between 0.02 and 0.05 per kelvin
+
+
+@dataclass(frozen=True)
+class AtOil:
+    """What a healthy machine has at the viscosity of the next recording.
+
+    Attributes
+    ----------
+    value : healthy B, N·s/m.
+    spread : of ln B from one healthy recording to the next, at one temperature.
+    law : standard deviation of ln B because s is not known.
+    noise : usual deviation of ln B of a reference by chance; it is in the spread.
+    freedom : samples less parameters behind the spread.
+    """
+
+    value: float
+    spread: float
+    law: float
+    noise: float
+    freedom: float
+
+    @property
+    def stddev(self) -> float:
+        """Of a healthy recording's B at this temperature, N·s/m."""
+        return self.value * float(np.linalg.norm((self.spread, self.law, self.noise)))
+
+    def t_of(self, value: float, chance: float, share: float) -> tuple[float, float]:
+        """Return Student's t of a recording's B beside the healthy one, and its limit.
+
+        Parameters
+        ----------
+        chance : standard deviation of ``value`` by noise alone.
+        share : of healthy recordings that may be beyond the limit.
+        """
+        own = max((chance / value) ** 2 - self.noise**2, 0.0)
+        variance = self.spread**2 * (1.0 + 1.0 / (self.freedom + 1.0)) + self.law**2 + own
+        return float(np.log(value / self.value) / np.sqrt(variance)), limit_of(
+            self.freedom + 1.0, 1.0, share)
+
+
+def damping_at(machine: Machine, viscosity: float) -> AtOil | None:
+    """Return healthy B at a viscosity; None where the recordings do not say it.
+
+    Parameters
+    ----------
+    viscosity : of the recording's oil, as :attr:`Machine.viscosity`; NaN where not measured.
+    """
+    force = next((one for one in machine.balances if one.balance == "force"), None)
+    names = [] if force is None else [p.name for p in force.parameters]
+    if machine.pieces or not machine.viscosity or not np.isfinite(viscosity) or "B" not in names:
+        return None
+    each, deviation = (np.array(rows)[:, names.index("B")]
+                       for rows in (force.each, force.each_stddev))
+    if len(each) < 2 or not (each > 0.0).all():
+        return None
+    u = np.log(machine.viscosity)
+    u, mean, y, noise = u - u.mean(), float(u.mean()), np.log(each), float(
+        np.median(deviation / each))
+    square, cross = float(u @ u), float(u @ (y - y.mean()))
+    best = cross / square if square > 0.0 else 1.0
+    left = y - y.mean() - best * u
+    variance = max(float(left @ left) / max(len(y) - 2, 1), noise**2, 1e-12)
+    weight = square / variance / (square / variance + LAW**-2)  # of what the references say of s
+    s = 1.0 + weight * (best - 1.0)
+    left = y - y.mean() - s * u
+    freedom = max(len(y) - 1.0 - weight, 1.0)
+    step = float(np.log(viscosity)) - mean
+    return AtOil(float(np.exp(y.mean() + s * step)), float(np.sqrt(left @ left / freedom)),
+                 LAW * float(np.sqrt(1.0 - weight)) * abs(step), noise, freedom)
+
+
+def viscosity_of(courses: Sequence[Course]) -> float:
+    """Return the viscosity of the oil of recordings of one state; NaN where not measured."""
+    return float(np.mean([course.viscosity for course in courses]))
+
+
+def at_oil(machine: Machine, viscosity: float) -> tuple[MachineBalance, ...]:
+    """Return the machine's balances with the damping of a recording's oil."""
+    at = damping_at(machine, viscosity)
+    return machine.balances if at is None else tuple(replace(one, parameters=tuple(
+        replace(p, value=at.value, between=max(p.between, at.stddev)) if p.name == "B" else p
+        for p in one.parameters)) for one in machine.balances)
