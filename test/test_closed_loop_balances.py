@@ -5,6 +5,7 @@ the force asks for.  Nothing of the simulator or of the catalogue takes part.
 """
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -74,6 +75,17 @@ def test_another_pressure_of_the_source_is_a_change(healthy, settings, source, s
     assert change.now.value - change.reference.value == pytest.approx(source - 5e5, abs=2e3)
     assert change.reference.value == pytest.approx(5e5, rel=0.03)  # its band rings a little
     assert "pressure_offset" in change.indistinguishable_from
+
+
+def test_one_chamber_that_runs_emptier_has_its_own_make_up_valve(healthy, settings):
+    """A check valve that sticks was told as the pressure of the source, which both share."""
+    one = loop(23)
+    p1, p2 = one.channels["p1"], one.channels["p2"]
+    starved = replace(one, channels={**one.channels, "p1": np.where(p1 < p2, p1 - 2e5, p1)})
+    found = against(healthy, [starved], settings, HELD)
+    change = next(c for c in found.changes if c.what == "makeup_valve")
+    assert change.now.value - change.reference.value == pytest.approx(-2e5, rel=0.1)
+    assert "chamber 1" in change.statement and "chamber 2 as before" in change.statement
 
 
 def test_a_drive_at_its_limit_is_no_change_of_its_gain(healthy, settings):

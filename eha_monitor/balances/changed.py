@@ -92,7 +92,10 @@ def against(machine: Machine, recordings: Sequence[Recording], settings: Setting
         else:
             verdict = "unexplained"
     source = _source(machine, courses, rig)
-    if source is not None and verdict != "unexplained":
+    # More oil through a leak or from a pump holds an emptier chamber higher by itself.
+    if source is not None and verdict != "unexplained" and not (
+            source.now.value > source.reference.value
+            and any(one.balance == "flow" for one in changes)):
         verdict, changes = "mismatch", (*changes, source)
     models = [_model(one) for one in judged.balances]
     effects = tuple(_effect(one, change, models) for one, change in zip(
@@ -271,27 +274,40 @@ def _oil(machine: Machine, stiffness: Stiffness) -> Change | None:
 
 
 def _source(machine: Machine, courses: Sequence[Course], rig: Rig) -> Change | None:
-    """Return how the pressure of what feeds an empty chamber has changed, if farther than healthy.
+    """Return how the lowest pressure of the chambers has changed, if farther than healthy.
 
-    By Student's t for one further recording, and by more than ``LOWEST`` of itself.  Behind a
+    By Student's t for one further recording, and by more than ``LOWEST`` of itself.  What feeds
+    both has changed where both have; one alone has its own make-up valve, or sensor.  Behind a
     valve, and where chambers are closed to each other, a load moves the lower pressure.
     """
-    if machine.oil == BOTH or not all(course.has_flow for course in courses):
+    if machine.oil == BOTH or machine.pieces or not all(course.has_flow for course in courses):
         return None
-    found = [one for course in courses if np.isfinite(one := course.lowest(rig))]
-    count = len(machine.lowest)
-    if not found or count < machine.policy.fewest or machine.pieces:
+    here = np.mean([course.lowest(rig) for course in courses], axis=0)
+    pairs = {number: (_scattered(row), Value(float(now), _scattered(row).stddev, "Pa"))
+             for number, row, now in zip((1, 2), machine.lowest, here, strict=True)
+             if np.isfinite(now) and len(row) >= machine.policy.fewest}
+    off = {number for number, (of, now) in pairs.items() if abs(now.value - of.value) > max(
+        limit_of(len(machine.lowest[number - 1]), 1.0, machine.policy.false) * of.stddev
+        * np.sqrt(1.0 + 1.0 / len(machine.lowest[number - 1])), LOWEST * of.value)}
+    if not off:
         return None
-    of, here = float(np.mean(machine.lowest)), float(np.mean(found))
-    spread = max(float(np.std(machine.lowest, ddof=1)), 1e-3 * of)
-    far = limit_of(count, 1.0, machine.policy.false) * spread * np.sqrt(1.0 + 1.0 / count)
-    if not abs(here - of) > max(far, LOWEST * of):
-        return None
-    healthy, now = Value(of, spread, "Pa"), Value(here, spread, "Pa")
-    return Change("charge_pressure", "", "flow", healthy, now, "Pa", (
-        "the lowest pressure of a chamber, that of what feeds it (accumulator, make-up valve), is "
-        f"{with_uncertainty(here, spread, 'Pa')}, where {_runs(machine)} have "
-        f"{with_uncertainty(of, spread, 'Pa')}"), ("pressure_offset",))
+    one = {1, 2} - off if len(pairs) == 2 else set()
+    of, now = (Value(float(np.mean([pairs[number][i].value for number in off])),
+                     float(np.mean([pairs[number][i].stddev for number in off])), "Pa")
+               for i in (0, 1))
+    whose = (f"the lowest pressure of chamber {min(off)}" if one else
+             "the lowest pressure of a chamber, that of what feeds it (accumulator, check valve),")
+    rest = (f", and that of chamber {min(one)} as before: its own make-up valve or line has "
+            "changed, not what feeds both" if one else "")
+    return Change("makeup_valve" if one else "charge_pressure", "", "flow", of, now, "Pa", (
+        f"{whose} is {with_uncertainty(now.value, now.stddev, 'Pa')}, where {_runs(machine)} have "
+        f"{with_uncertainty(of.value, of.stddev, 'Pa')}{rest}"), ("pressure_offset",))
+
+
+def _scattered(values: Sequence[float]) -> Value:
+    """Return the mean of some pressures and their scatter, at least a thousandth."""
+    mean = float(np.mean(values))
+    return Value(mean, max(float(np.std(values, ddof=1)), 1e-3 * mean), "Pa")
 
 
 def _effect(moved: Moved, change: Change, models: Sequence[Model]) -> NamedEffect:

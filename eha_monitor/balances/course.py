@@ -31,7 +31,8 @@ from eha_monitor.recordings.recording import Recording, between_stops, sample_of
 from eha_monitor.settings.monitor import Settings
 from eha_monitor.settings.rig import Rig
 
-LOW = 0.05  # of the samples of the lower pressure: what stands for its lowest
+LOW = 0.05  # of the samples of an emptier chamber: what stands for its lowest pressure
+EMPTY = 0.1  # of the samples in which a chamber is the emptier one, for that to be said
 BAND = 5.0  # Hz: pass band of every balance; wider ones are for motions beyond it
 MOTION = 4.0  # bands: pass band of the motion
 STEPS = 8  # of the effects' memory in a sample: a line is faster than the grid
@@ -227,16 +228,18 @@ class Course:
         """Return the absolute pressure of a reading, Pa."""
         return pressure + rig.ambient_pressure if self.gauge else pressure
 
-    def lowest(self, rig: Rig) -> float:
-        """Return the lowest absolute pressure of both chambers, Pa; NaN where one is not measured.
+    def lowest(self, rig: Rig) -> tuple[float, float]:
+        """Return the lowest absolute pressure of each chamber, Pa; NaN where nothing says it.
 
-        What feeds a chamber that runs empty (an accumulator, a make-up valve, the tank) sets it,
-        and neither load nor temperature moves it much.
+        What feeds a chamber that runs empty (an accumulator through its make-up valve, the tank)
+        sets it, and neither load nor temperature moves it much.  Of a chamber that is hardly ever
+        the emptier one it is not known.
         """
         if self.p1 is None or self.p2 is None or not self.good.any():
-            return float("nan")
-        both = np.minimum(*(self.absolute(p, rig) for p in (self.p1, self.p2)))
-        return float(np.quantile(both[self.good], LOW))
+            return np.nan, np.nan
+        p1, p2 = (self.absolute(p, rig)[self.good] for p in (self.p1, self.p2))
+        return tuple(float(np.quantile(p[emptier], LOW)) if emptier.mean() > EMPTY else np.nan
+                     for p, emptier in ((p1, p1 < p2), (p2, p2 < p1)))
 
     def floor(self, balance: str, rig: Rig) -> float:
         """Return the rms that the sensors alone leave in a balance in its band, SI."""

@@ -193,8 +193,8 @@ class Machine:
     oil : whose oil its pump presses (:class:`Course`).
     viscosity : of the oil in each recording, over that at the reference temperature; empty where
         not all of them measure its temperature.
-    lowest : absolute pressure of each recording, Pa (:meth:`Course.lowest`); empty where
-        not all measure both, and in older files.
+    lowest : absolute pressure of either chamber in each recording, (2, r) Pa
+        (:meth:`Course.lowest`); empty of a chamber where not all say it, and in older files.
     """
 
     rig: str
@@ -211,7 +211,7 @@ class Machine:
     displacement: float | None = None
     oil: str = ""
     viscosity: tuple[float, ...] = ()
-    lowest: tuple[float, ...] = ()
+    lowest: tuple[tuple[float, ...], tuple[float, ...]] = ((), ())
 
     def __getitem__(self, balance: str) -> MachineBalance:
         return next(one for one in self.balances if one.balance == balance)
@@ -312,12 +312,13 @@ def machine_from(courses: Sequence[Course], rig: Rig, vary: Sequence[str], witho
     sources = tuple(Path(one.source).name or f"recording {i + 1}"
                     for i, one in enumerate(courses))
     viscosity = tuple(course.viscosity for course in courses)
-    lowest = tuple(course.lowest(rig) for course in courses)
+    lowest = tuple(row if np.isfinite(row).all() else ()
+                   for row in zip(*(course.lowest(rig) for course in courses), strict=True))
     return Machine(rig.name, sources, scale, bool(varied), pieces, tuple(found),
                    _odd(sources, found, policy), policy, stiffness_of(courses, rig),
                    (rig.area_1, rig.area_2), rig.mass, rig.pump_displacement,
                    courses[0].oil, viscosity if np.isfinite(viscosity).all() else (),
-                   lowest if np.isfinite(lowest).all() else ())
+                   lowest)
 
 
 def pressure_varied(courses: Sequence[Course], policy: Policy) -> bool:
@@ -584,6 +585,8 @@ def _read(path: Path) -> Machine:
         # Files of older versions did not tell oils apart, nor hold the machine's own.
         data["balances"] = [_with_infinities({
             "held": one["error"], "beside": one["scatter"]} | one) for one in data["balances"]]
+        if not all(isinstance(row, list) for row in data.get("lowest", ())):
+            data["lowest"] = [], []  # of both chambers as one
         data["stiffness"] = _with_infinities(data.get("stiffness") or asdict(UNKNOWN))
         return TypeAdapter(Machine).validate_python(data)
     except (ValueError, KeyError, TypeError, AttributeError) as problem:

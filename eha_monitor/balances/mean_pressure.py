@@ -16,7 +16,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from eha_monitor.balances.course import Course
+from eha_monitor.balances.course import LOW, Course
 from eha_monitor.balances.policy import Policy
 from eha_monitor.mismatch.diagnosis import NamedEffect, RigFinding, Value
 from eha_monitor.physics.effects import CATALOGUE
@@ -82,4 +82,5 @@ def _means(course: Course, rig: Rig, displacement: float) -> tuple[float, float,
     good = course.good
     both = np.stack([course.absolute(p, rig) for p in (course.p1, course.p2)])[:, good]
     more = (rig.area_1 - rig.area_2) * (course.v - displacement * course.omega / rig.area_1)
-    return float(both.mean()), float(more[good].mean()), course.lowest(rig)
+    return (float(both.mean()), float(more[good].mean()),
+            float(np.quantile(both.min(axis=0), LOW)))
