@@ -140,7 +140,8 @@ def compressibility(course: Course, rig: Rig) -> Term | None:
         for more in ((), (play,)):
             fit = fitted(course, course.counted("flow"), flow, (
                 pump, leakage, ("1/beta_e", "1/Pa", "compressibility", 1, -taken), *more),
-                (course.a, course.direction, np.ones(len(course))))
+                (course.a, course.direction, np.ones(len(course))),
+                (course.skew * rig.area_1 * course.a,))
             if fit is not None and fit["1/beta_e"].determined and (
                     not more or fit["b"].determined):
                 found.append(fit)

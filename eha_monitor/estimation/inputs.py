@@ -16,6 +16,7 @@ from eha_monitor.estimation.rig_model import (
     measured_leakage,
     missing,
     model_for,
+    valve_open,
 )
 from eha_monitor.estimation.sensors import noise_levels, quantum, undo_sensors, without_spikes
 from eha_monitor.estimation.stage_one import RowsOne
@@ -79,7 +80,8 @@ class StageInputs:
     ``quantum`` is the position's resolution in m, 0 where it is continuous; ``spikes`` counts the
     samples of each channel that were left out.  ``x``, ``noise`` and all that comes of them have
     the sensors' known errors undone.  ``kept`` is what the drive remembers after each sample.
-    ``rest`` is where nothing moves, (n,) bool: the stages get no input there.
+    ``rest`` is where nothing moves, (n,) bool: the stages get no input there; stage two gets none
+    where a stiff ``valve`` is open either, None without one.
     """
 
     model: RigModel
@@ -100,6 +102,7 @@ class StageInputs:
     spikes: dict[str, int]
     kept: np.ndarray
     rest: np.ndarray
+    valve: np.ndarray | None = None
 
     @classmethod
     def of(cls, recording: Recording, settings: Settings, known: Known | None = None,
@@ -144,7 +147,8 @@ class StageInputs:
             between(channels["p2"]) if both else charge, mean_pressure(channels, rig), noise,
             position_variance(noise, step), step, no_force, no_drive, spikes, kept,
             known.rest if known and known.rest is not None else
-            resting(recording.channels, shown, recording.sample_time, step))
+            resting(recording.channels, shown, recording.sample_time, step),
+            valve_open(model, channels, noise["p1"].value) if model.valves else None)
 
     @property
     def rows(self) -> int:
@@ -174,8 +178,10 @@ class StageInputs:
         given = (np.full(size, values, dtype=float) if np.ndim(values) == 0
                  else np.array(values[:size], dtype=float) for values in (b, b_variance))
         start, *others = self.drive
-        return RowsTwo(self.x[:stop], *(values[:stop] for values in (
-            self.moving(start), *others)), *given,
+        start = self.moving(start)
+        if self.valve is not None:
+            start = np.where(self.valve, np.nan, start)
+        return RowsTwo(self.x[:stop], *(values[:stop] for values in (start, *others)), *given,
                        self.leak_flow[:stop], self.mean[:stop])
 
     def pieces(self, recording: Recording | None = None, begin: int = 0) -> Iterator[Piece]:

@@ -20,6 +20,9 @@ from eha_monitor.settings.rig import Rig
 
 SMOOTHED = 5  # samples on each side over which the mean pressure is smoothed
 LINE = NAMES.index("line_dynamics")
+VALVES = ("relief_valve", "anti_cavitation")
+NEAR = 3.0  # times the noise of a pressure sensor
+STIFF_VALVE = 0.5  # times in a sample that a chamber settles by it
 FLOW_BALANCE = {s.FLOW_1, s.FLOW_2, s.COMPLIANCE_1, s.COMPLIANCE_2, s.VOLUME_1, s.VOLUME_2}
 
 
@@ -36,6 +39,7 @@ class RigModel:
     opened : the drive's effects make the pump speed, not x_d, stage two's input.
     loop : x_d is the input and the drive is part of the model.
     hydraulics, leak : lumped flow balance; None without its constants.
+    valves : names of the stiff valves, while which are open stage two has no input.
     """
 
     settings: Settings
@@ -48,6 +52,7 @@ class RigModel:
     loop: bool
     hydraulics: np.ndarray | None
     leak: float
+    valves: tuple[str, ...] = ()
 
     @classmethod
     def of(cls, settings: Settings, mean_pressure: float | None = None,
@@ -143,7 +148,38 @@ def model_for(channels: dict[str, np.ndarray], settings: Settings) -> RigModel:
     model = RigModel.of(settings, mean, "x_d" in channels)
     if measures_leakage(settings.rig, channels):
         model = replace(model, leak=0.0)
+    if mean is not None and (valves := stiff_valves(settings)):
+        flows = np.setdiff1d(model.effects.flows, [NAMES.index(name) for name in valves])
+        model = replace(model, effects=model.effects._replace(flows=flows), valves=valves)
     return model
+
+
+def stiff_valves(settings: Settings) -> tuple[str, ...]:
+    """Return the config's valves by which a chamber settles in a sample, as fast as beta_e k/V.
+
+    Stage two has the pressures from its force and their mean.  What such a valve takes back of
+    that force within a sample is as much as all of it: the filter would run away each time one
+    opens.  It gets no input while one is open, and starts again behind.
+    """
+    rig = settings.rig
+    if None in (rig.area_1, rig.area_2, rig.volume_1, rig.volume_2):
+        return ()
+    stiffness = rig.bulk_modulus / min(rig.volume_1, rig.volume_2) * rig.sample_time
+    return tuple(name for name in VALVES
+                 if settings.effects.get(name, {}).get("k", 0.0) * stiffness > STIFF_VALVE)
+
+
+def valve_open(model: RigModel, channels: dict, noise: float) -> np.ndarray:
+    """Return where a stiff valve is open, or the sensors' ``noise`` (Pa) may say so; (n,) bool."""
+    effects, near = model.settings.effects, NEAR * noise
+    p1, p2 = channels["p1"], channels["p2"]
+    found = np.zeros(len(p1), dtype=bool)
+    for name in model.valves:
+        if name == "anti_cavitation":
+            found |= np.fmin(p1, p2) < effects[name]["p_min"] + near
+        else:
+            found |= np.abs(p1 - p2) > effects[name]["p_c"] - near
+    return np.convolve(found, np.ones(2 * SMOOTHED + 1), mode="same") > 0.5
 
 
 def mean_pressure(channels: dict[str, np.ndarray], rig: Rig) -> np.ndarray:

@@ -448,7 +448,9 @@ def assemble(recordings: list[Recording], shown: Experiment, naming: Naming, sta
                        (told.name, told.entry) if told is not None else None),
         duration_s=sum(one.duration for one in recordings),
         wall_s=time.perf_counter() - started, pieces=pieces,
-        probability={"consistent": naming.consistent, "unexplained": naming.unexplained},
+        # A step that is read off the data is there, whatever the rest.
+        probability={"consistent": naming.consistent if step is None else 0.0,
+                     "unexplained": naming.unexplained},
         rig_data=wrong, rig_within=within,
         learned=(told.term,) if told is not None and told.term is not None else (),
         fitted=None if open_end else fitted_of(after), gates=gates, baselines=baselines)
