@@ -232,6 +232,20 @@ def test_a_damping_that_the_warmth_would_cover_is_compared_at_one_temperature(se
             assert worn.changes[0].reference.value == pytest.approx(b, rel=0.05)
 
 
+def test_a_machine_is_compared_by_the_config_that_it_was_made_with(recordings, settings, tmp_path):
+    """Beside the config of a diagnosis its lag was that of both, 7.99 ms for 4: a change."""
+    known = machine_of(recordings, settings)
+    save(known, tmp_path / "machine.json")
+    known = load(tmp_path / "machine.json", settings.rig)
+    other = settings.model_copy(update={
+        "effects": {"coulomb_friction": {"F_c": 150.0, "v_e": 1e-3}},
+        "rig": settings.rig.model_copy(update={"mass": 1.1 * settings.rig.mass})})
+    here = stranger(20, rise=0.0, damping=(1500.0, 1500.0), seconds=16.0)
+    by_own, by_other = (against(known, [here], one, known.sources) for one in (settings, other))
+    assert by_own.verdict == by_other.verdict == "consistent"
+    assert by_own.message == by_other.message
+
+
 def test_cold_oil_of_another_law_is_no_worn_machine(settings):
     """27 degrees beside 36 to 46: B was called changed, though the temperature was measured."""
     steeper = 1.3 * settings.viscosity.coefficient  # than the config's, which is nobody's oil

@@ -68,7 +68,8 @@ def against(machine: Machine, recordings: Sequence[Recording], settings: Setting
     InputError
         If none of them has a force balance.
     """
-    started, rig = time.perf_counter(), settings.rig
+    started, settings = time.perf_counter(), machine.as_made(settings)
+    rig = settings.rig
     recordings, courses, left_out = courses_of(recordings, settings)
     if not any(course.shows for course in courses):
         return replace(still(recordings, courses, (), started), references=references)

@@ -47,6 +47,9 @@ SCHEMA = "eha_monitor/balances/1"
 SHORTEST_S = 1.0  # of a part
 OTHER = 2.0  # times a number of the config: it is of another machine
 PIECES = 8  # in which fewer recordings than a machine needs are cut, together
+# Numbers of the rig that a balance takes as known.
+NUMBERS = ("mass", "leakage", "makeup_conductance", "pump_displacement", "position_gain",
+           "volume_1", "volume_2", "charge_pressure")
 LEAST = 0.25  # of the typical spread: a few others may agree by chance
 BASE = ("B", "D_p", "L", "k_d")  # what the config's own model has
 LEVELS = (0.05, 0.95)  # quantiles of the force that stand for the load in the flexible reference
@@ -195,6 +198,8 @@ class Machine:
         not all of them measure its temperature.
     lowest : absolute pressure of either chamber in each recording, (2, r) Pa
         (:meth:`Course.lowest`); empty of a chamber where not all say it, and in older files.
+    effects, numbers : of the config and its rig that the balances were made with, SI; None in
+        older files.
     """
 
     rig: str
@@ -212,6 +217,19 @@ class Machine:
     oil: str = ""
     viscosity: tuple[float, ...] = ()
     lowest: tuple[tuple[float, ...], tuple[float, ...]] = ((), ())
+    effects: dict[str, dict[str, float | str | list[float]]] | None = None
+    numbers: dict[str, float] | None = None
+
+    def as_made(self, settings: Settings) -> Settings:
+        """Return a config with the numbers and effects that the machine's balances were made with.
+
+        Its terms are what comes on top of them: beside another config, that of a diagnosis for
+        example, the same leak or lag would count twice in the machine and once in a recording.
+        """
+        if self.effects is None or self.numbers is None:
+            return settings
+        return settings.model_copy(update={
+            "effects": self.effects, "rig": settings.rig.model_copy(update=self.numbers)})
 
     def __getitem__(self, balance: str) -> MachineBalance:
         return next(one for one in self.balances if one.balance == balance)
@@ -241,6 +259,7 @@ class Machine:
             "stiffness": self.stiffness, "areas": self.areas, "mass": self.mass,
             "displacement": self.displacement, "scale": self.scale,
             "oil": self.oil, "viscosity": self.viscosity, "lowest": self.lowest,
+            "effects": self.effects, "numbers": self.numbers,
             "policy": self.policy, "balances": self.balances})
 
 
@@ -318,7 +337,9 @@ def machine_from(courses: Sequence[Course], rig: Rig, vary: Sequence[str], witho
                    _odd(sources, found, policy), policy, stiffness_of(courses, rig),
                    (rig.area_1, rig.area_2), rig.mass, rig.pump_displacement,
                    courses[0].oil, viscosity if np.isfinite(viscosity).all() else (),
-                   lowest)
+                   lowest, {name: dict(one) for name, one in courses[0].effects.items()},
+                   {name: value for name in NUMBERS
+                    if (value := getattr(rig, name)) is not None})
 
 
 def pressure_varied(courses: Sequence[Course], policy: Policy) -> bool:
