@@ -88,6 +88,21 @@ def test_one_chamber_that_runs_emptier_has_its_own_make_up_valve(healthy, settin
     assert "chamber 1" in change.statement and "chamber 2 as before" in change.statement
 
 
+def test_a_worn_pump_is_named_beside_a_drive_that_nobody_knows(healthy, settings):
+    """A commanded speed with a part of its own: the drive is open, the flow says what it is."""
+    one = loop(24)
+    more = 0.3 * np.std(one.channels["omega"]) * np.sin(
+        np.cumsum(np.abs(one.channels["x"])) * DT * 300.0)
+    worn = replace(one, channels={
+        **one.channels, "omega": one.channels["omega"] / 0.94,
+        "x_d": one.channels["x_d"] + more / GAIN})
+    found = against(healthy, [worn], settings, HELD)
+    assert found.verdict == "mismatch"
+    (pump,) = [change for change in found.changes if change.what == "pump_displacement"]
+    assert pump.now.value / pump.reference.value == pytest.approx(0.94, abs=0.005)
+    assert "drive: " in found.message
+
+
 def test_a_drive_at_its_limit_is_no_change_of_its_gain(healthy, settings):
     top = np.abs(loop(30).channels["omega"]).max()
     found = against(healthy, [loop(30, limit=0.4 * top)], settings, HELD)

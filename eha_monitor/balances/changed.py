@@ -75,7 +75,8 @@ def against(machine: Machine, recordings: Sequence[Recording], settings: Setting
         return replace(still(recordings, courses, (), started), references=references)
     courses = machine.moved(courses)
     apart = _apart(machine, balances_in(courses, rig), settings, references)
-    judged = beside_viscosity(machine, judge(machine, courses, settings), viscosity_of(courses))
+    judged = beside_viscosity(machine, judge(machine, courses, settings),
+                              viscosity_of(courses)).apart()
     stiffness = stiffness_of(courses, rig)
     judged = replace(judged, balances=tuple(replace(one, changed=tuple(
         moved for moved in one.changed if not _as_stiff(moved, machine, stiffness)))
@@ -374,6 +375,9 @@ def _or_a_sensor(change: Change) -> str:
 
 def _left(one: JudgedBalance) -> str:
     """Return how much is left of a balance that no numbers of the machine's terms describe."""
+    if not one.foreign:
+        return (f"{one.balance}: {share(one.error, 2)} of it unexplained, at most "
+                f"{share(one.usual, 2)} in the healthy recordings")
     return (f"{one.balance}: the machine's terms fitted anew leave {number(one.alone, 2)} times "
             "what they leave of any healthy recording")
 
@@ -391,7 +395,7 @@ def _message(verdict: str, changes: Sequence[Change], judged: Judged, runs: str,
         said = "; ".join(one.statement + _or_a_sensor(one) for one in changes)
         said = f"{said}; what else differs is small: {'; '.join(small)}" if small else said
         return "; ".join([said, *(f"{_left(one)}: something else has changed as well"
-                                  for one in judged.balances if one.foreign)])
+                                  for one in judged.balances if one.foreign or not one.settled)])
     if verdict == "consistent" and small:
         return f"what differs is too small to be called a change: {'; '.join(small)}"
     if verdict == "consistent":
@@ -404,9 +408,7 @@ def _message(verdict: str, changes: Sequence[Change], judged: Judged, runs: str,
                 f", but it explains too little of the {largest.candidate.balance} to be called a "
                 "change" if abs(largest.deviations) > largest.limit else ""))
         return f"nothing has changed from {runs}{most}"
-    said = [_left(one) if one.foreign else
-            f"{one.balance}: {share(one.error, 2)} of it unexplained, at most "
-            f"{share(one.usual, 2)} in the healthy recordings" for one in judged.loud]
+    said = [_left(one) for one in judged.loud]
     said += [f"nearest to it, and no explanation, is that {one}" for one in nearest]
     return "what has changed is not one of the numbers that the machine has" + (
         f"; {'; '.join(said)}" if said else "")

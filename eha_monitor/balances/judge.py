@@ -113,6 +113,12 @@ class JudgedBalance:
         return self.foreign and bool(self.changed) and self.after > max(
             self.usual, MUCH * self.error)
 
+    @property
+    def settled(self) -> bool:
+        """Whether its changes are what came: nothing else has, little, or less than they."""
+        return (self.complete or self.after - self.usual <= POLICY.worse
+                or explains(self.error, self.after, self.usual, POLICY))
+
     def refused(self) -> "JudgedBalance":
         """Return the balance without its changes, which leave many times what healthy ones do.
 
@@ -180,10 +186,19 @@ class Judged:
 
     @property
     def explained(self) -> bool:
-        """Whether what has changed has names: nothing else has, little, or less than they do."""
-        return bool(self.changed) and all(
-            one.complete or one.after - one.usual <= POLICY.worse
-            or explains(one.error, one.after, one.usual, POLICY) for one in self.balances)
+        """Whether what has changed has names, in each balance that names any."""
+        return bool(self.changed) and all(one.settled for one in self.balances if one.changed)
+
+    def apart(self) -> "Judged":
+        """Return it without the names of balances that these leave open, where another's do not.
+
+        Each balance is measured by channels of its own, and stands by itself: what a drive does
+        that the config does not know hides no worn pump, and is none of its numbers.
+        """
+        if not any(one.changed and one.settled for one in self.balances):
+            return self
+        return replace(self, balances=tuple(
+            one if one.settled or not one.changed else one.refused() for one in self.balances))
 
 
 def judge(machine: Machine, courses: Sequence[Course], settings: Settings) -> Judged:
