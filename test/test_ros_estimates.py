@@ -98,6 +98,7 @@ def test_an_alarm_is_told_at_once_and_then_with_its_bag(graph, tmp_path):
     graph.until(lambda: any(values(m, "eha: viscous_damping_high").get("bag") == bag
                             for m in diagnostics))
     assert time.monotonic() - begun < SLOW_S
+    assert health[-1].header.frame_id == diagnostics[-1].header.frame_id == "eha"
     assert topics(bag)["/eha/joint_states"].count >= 100
     # The bag holds the moment: the health in which the alarm was raised.
     store = get_typestore(Stores.ROS2_JAZZY)

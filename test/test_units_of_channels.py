@@ -183,3 +183,11 @@ def test_lines_above_the_names_are_skipped(tmp_path):
     tree = {"table": MAP["table"] | {"skip_rows": 3, "delimiter": "tab", "header": "present"}}
     np.testing.assert_allclose(read_table(file, settings_from_tree(tree, "m")).channels["x"],
                                np.arange(900) * 1e-6)
+
+
+def test_a_pressure_of_another_topic_keeps_its_field():
+    """``channels: {p1: {topic: /a/b, unit: bar}}`` asked for a field that only one can be."""
+    found = settings_from_tree({"channels": {
+        "p1": {"topic": "/a/b", "unit": "bar"}, "x": {"topic": "/rod"}}}, "test").channels
+    assert (found["p1"].topic, found["p1"].field) == ("/a/b", "fluid_pressure")
+    assert (found["x"].name, found["x"].field) == ("", "")  # which joint, nobody knows

@@ -109,10 +109,11 @@ def status(finding: Finding, hardware: str) -> DiagnosticStatus:
         values=[KeyValue(key=key, value=plain(value)) for key, value in finding.values.items()])
 
 
-def diagnostics(time_ns: int, findings: list[Finding], hardware: str) -> DiagnosticArray:
+def diagnostics(time_ns: int, findings: list[Finding], hardware: str, frame: str = ""
+                ) -> DiagnosticArray:
     """Return all findings as one message."""
     message = DiagnosticArray(status=[status(finding, hardware) for finding in findings])
-    message.header.stamp = stamp(time_ns)
+    message.header.stamp, message.header.frame_id = stamp(time_ns), frame
     return message
 
 
@@ -201,14 +202,14 @@ class Outputs:
     def health(self, findings: list[Finding]) -> None:
         """Publish the health, latched, and as diagnostics."""
         message = diagnostics(self._node.get_clock().now().nanoseconds, findings,
-                                       self._hardware)
+                              self._hardware, self._frame)
         self._publish(self._health, message)
         self._publish(self._diagnostics, message)
 
     def diagnosis(self, findings: list[Finding]) -> None:
         """Publish what the monitor's own diagnosis says, latched."""
         self._publish(self._diagnosis, diagnostics(
-            self._node.get_clock().now().nanoseconds, findings, self._hardware))
+            self._node.get_clock().now().nanoseconds, findings, self._hardware, self._frame))
 
     def clashes(self) -> list[str]:
         """Return in sentences which subscribers get nothing, as they ask for another QoS."""

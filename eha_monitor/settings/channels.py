@@ -263,12 +263,17 @@ DEFAULT_CHANNELS = {
 
 
 def fill_channels(given):
-    """Fill in what a ``channels`` section leaves out, channel by channel and key by key."""
+    """Fill in what a ``channels`` section leaves out, channel by channel and key by key.
+
+    A topic of its own has messages of its own: of them only the field of a pressure or a
+    temperature is known, which such a message has once.
+    """
     if not isinstance(given, dict):
         return given
     filled = {name: channel.model_dump() for name, channel in DEFAULT_CHANNELS.items()}
     for name, channel in given.items():
-        if isinstance(channel, dict) and name in filled and "topic" not in channel:
+        if isinstance(channel, dict) and name in filled and (
+                "topic" not in channel or not filled[name]["name"]):
             channel = {**filled[name], **channel}
         filled[name] = channel
     return filled
