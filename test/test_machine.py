@@ -246,6 +246,19 @@ def test_a_machine_is_compared_by_the_config_that_it_was_made_with(recordings, s
     assert by_own.message == by_other.message
 
 
+@pytest.mark.parametrize("lowest", [[], [5e5, 5.1e5, 5e5, 5e5], None])
+def test_a_machine_of_an_older_version_is_read(machine, settings, tmp_path, lowest):
+    """Its lowest pressures were of both chambers as one; an empty list where none was known."""
+    save(machine, tmp_path / "machine.json")
+    data = json.loads((tmp_path / "machine.json").read_text())
+    del data["lowest"], data["effects"], data["numbers"], data["scale"]["relaxed"]
+    data |= {} if lowest is None else {"lowest": lowest}
+    (tmp_path / "machine.json").write_text(json.dumps(data))
+    known = load(tmp_path / "machine.json", settings.rig)
+    assert known.lowest == ((), ()) and known.scale.relaxed == machine.scale.origin
+    assert known.as_made(settings) is settings
+
+
 def test_cold_oil_of_another_law_is_no_worn_machine(settings):
     """27 degrees beside 36 to 46: B was called changed, though the temperature was measured."""
     steeper = 1.3 * settings.viscosity.coefficient  # than the config's, which is nobody's oil

@@ -606,8 +606,9 @@ def _read(path: Path) -> Machine:
         # Files of older versions did not tell oils apart, nor hold the machine's own.
         data["balances"] = [_with_infinities({
             "held": one["error"], "beside": one["scatter"]} | one) for one in data["balances"]]
-        if not all(isinstance(row, list) for row in data.get("lowest", ())):
-            data["lowest"] = [], []  # of both chambers as one
+        if not all(isinstance(row, list) for row in data.get("lowest") or [None]):
+            data.pop("lowest", None)  # of both chambers as one
+        data["scale"].setdefault("relaxed", data["scale"]["origin"])
         data["stiffness"] = _with_infinities(data.get("stiffness") or asdict(UNKNOWN))
         return TypeAdapter(Machine).validate_python(data)
     except (ValueError, KeyError, TypeError, AttributeError) as problem:
