@@ -179,10 +179,11 @@ class _Choice:
                 continue
             members = [name for name, _ in terms.most_common()
                        if of[name].kind == family and not of[name].always]
-            steady = [name for name in members
-                      if effects[of[name].effect] >= policy.stable * policy.halves]
-            steady = list({of[name].effect: name for name in reversed(steady)}.values())[::-1]
-            steady = steady or members[:1]
+            shapes: dict[str, str] = {}  # effect -> the shape of it that most halves choose
+            for name in members:
+                if effects[of[name].effect] >= policy.stable * policy.halves:
+                    shapes.setdefault(of[name].effect, name)
+            steady = list(shapes.values()) or members[:1]
             if founded(steady, of) != steady:  # halves share what is added, not what it adds to
                 steady.insert(0, next(name for name in (*members, *self.allowed) if of[name].bears
                                       and of[name].kind == family and not of[name].upon))

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from eha_monitor.balances.candidates import pressure_rate
-from eha_monitor.balances.course import Course, changes, course_of, known_of
+from eha_monitor.balances.course import Course, course_of, known_of
 from eha_monitor.balances.least_squares import (
     independent,
     inverse_of,
@@ -182,7 +182,7 @@ def force_fit(course: Course, rig: Rig, known: np.ndarray | float = 0.0,
     late : (m,) N/s, rate of the force, if the deviations are to hold that it may be late.
     beside : what may stand beside, see :func:`fitted`.
     """
-    if not changes(course.force[course.good]):
+    if not course.shows:
         return None
     one, speed = np.ones(len(course)), np.abs(course.v) / max(course.speed, 1e-300)
     inertia, damping, force = UNITS[rig.motion]

@@ -1,10 +1,4 @@
-"""What has changed in recordings of a machine, as an answer.
-
-Viscous damping grows with the oil's viscosity and a laminar leakage falls with it (Merritt 1967):
-over healthy recordings at several temperatures ln B and ln L scatter against each other, and
-ln B + ln L hardly at all.  Where that is so, a recording is compared by that sum as well: if it is
-off, either B or L has changed, whichever asks for an oil more like that of the references.
-"""
+"""What has changed in recordings of a machine, as an answer."""
 
 import time
 from collections.abc import Iterable, Sequence
@@ -25,11 +19,12 @@ from eha_monitor.balances.judge import (
 )
 from eha_monitor.balances.machine import LEAST, Machine, of_another
 from eha_monitor.balances.model import Model, Term, of_judged
-from eha_monitor.balances.named import FORCE_OF_SENSORS, size_of
+from eha_monitor.balances.named import size_of
 from eha_monitor.balances.parameters import Stiffness, stiffness_of
-from eha_monitor.balances.policy import POLICY, Policy
-from eha_monitor.balances.scatter import limit_of
-from eha_monitor.balances.warmth import at_oil, damping_at, viscosity_of
+from eha_monitor.balances.policy import POLICY
+from eha_monitor.balances.scatter import limit_of, t_of_next
+from eha_monitor.balances.viscous import beside_viscosity
+from eha_monitor.balances.warmth import at_oil, viscosity_of
 from eha_monitor.errors import InputError
 from eha_monitor.mismatch.diagnosis import (
     Change,
@@ -48,6 +43,7 @@ from eha_monitor.words import effect_words, listed
 
 SHARED = 0.5  # of a deviation: less of it is of the difference, so that is told too
 LOWEST = 0.05  # of the lowest pressure: less of it is no change
+LEAST_SPREAD = 1e-3  # of the lowest pressure: what healthy recordings differ by at least
 FASTER = 1.2  # times the references' speed: beyond it nothing is known of the machine
 WHAT = {"B": "B", "C_h": "beta_e", "D_p": "pump_displacement"}
 EFFECTS = {"viscous_damping": "B", "compliance": "beta_e"}
@@ -75,8 +71,8 @@ def against(machine: Machine, recordings: Sequence[Recording], settings: Setting
         return replace(still(recordings, courses, (), started), references=references)
     courses = machine.moved(courses)
     apart = _apart(machine, balances_in(courses, rig), settings, references)
-    judged = beside_viscosity(machine, judge(machine, courses, settings),
-                              viscosity_of(courses)).apart()
+    viscosity = viscosity_of(courses)
+    judged = beside_viscosity(machine, judge(machine, courses, settings), viscosity).apart()
     stiffness = stiffness_of(courses, rig)
     judged = replace(judged, balances=tuple(replace(one, changed=tuple(
         moved for moved in one.changed if not _as_stiff(moved, machine, stiffness)))
@@ -113,8 +109,8 @@ def against(machine: Machine, recordings: Sequence[Recording], settings: Setting
             _change(one, machine, settings, stiffness).statement for balance in judged.balances
             for one in balance.nearest)),
         where, effects,
-        _health(machine, judged, stiffness, viscosity_of(courses), before=True),
-        _health(machine, judged, stiffness, viscosity_of(courses), before=False),
+        _health(machine, judged, stiffness, viscosity, before=True),
+        _health(machine, judged, stiffness, viscosity, before=False),
         "held_out", {one.balance: SignalFit(
             SIDES[one.balance], one.nominal_error * one.size, one.error * one.size, one.floor,
             signal_rms=one.size) for one in models}, curves,
@@ -284,32 +280,30 @@ def _source(machine: Machine, courses: Sequence[Course], rig: Rig) -> Change | N
     """
     if machine.oil == BOTH or machine.pieces or not all(course.has_flow for course in courses):
         return None
-    here = np.mean([course.lowest(rig) for course in courses], axis=0)
-    pairs = {number: (_scattered(row), Value(float(now), _scattered(row).stddev, "Pa"))
-             for number, row, now in zip((1, 2), machine.lowest, here, strict=True)
-             if np.isfinite(now) and len(row) >= machine.policy.fewest}
-    off = {number for number, (of, now) in pairs.items() if abs(now.value - of.value) > max(
-        limit_of(len(machine.lowest[number - 1]), 1.0, machine.policy.false) * of.stddev
-        * np.sqrt(1.0 + 1.0 / len(machine.lowest[number - 1])), LOWEST * of.value)}
+    means = np.mean([course.lowest(rig) for course in courses], axis=0)
+    off, alike = {}, []  # chamber -> healthy and present pressure; those that are as before
+    for chamber, row, here in zip((1, 2), machine.lowest, means.tolist(), strict=True):
+        if not np.isfinite(here) or len(row) < machine.policy.fewest:
+            continue
+        of = float(np.mean(row))
+        spread = max(float(np.std(row, ddof=1)), LEAST_SPREAD * of)
+        t, limit = t_of_next(here - of, spread, len(row), machine.policy.false)
+        if abs(t) > limit and abs(here - of) > LOWEST * of:
+            off[chamber] = (of, here, spread)
+        else:
+            alike.append(chamber)
     if not off:
         return None
-    one = {1, 2} - off if len(pairs) == 2 else set()
-    of, now = (Value(float(np.mean([pairs[number][i].value for number in off])),
-                     float(np.mean([pairs[number][i].stddev for number in off])), "Pa")
-               for i in (0, 1))
-    whose = (f"the lowest pressure of chamber {min(off)}" if one else
-             "the lowest pressure of a chamber, that of what feeds it (accumulator, check valve),")
-    rest = (f", and that of chamber {min(one)} as before: its own make-up valve or line has "
-            "changed, not what feeds both" if one else "")
-    return Change("makeup_valve" if one else "charge_pressure", "", "flow", of, now, "Pa", (
-        f"{whose} is {with_uncertainty(now.value, now.stddev, 'Pa')}, where {_runs(machine)} have "
-        f"{with_uncertainty(of.value, of.stddev, 'Pa')}{rest}"), ("pressure_offset",))
-
-
-def _scattered(values: Sequence[float]) -> Value:
-    """Return the mean of some pressures and their scatter, at least a thousandth."""
-    mean = float(np.mean(values))
-    return Value(mean, max(float(np.std(values, ddof=1)), 1e-3 * mean), "Pa")
+    of, here, spread = np.mean(list(off.values()), axis=0).tolist()
+    what, whose, rest = "charge_pressure", (
+        "the lowest pressure of a chamber, that of what feeds it (accumulator, check valve),"), ""
+    if alike:
+        what, whose, rest = "makeup_valve", f"the lowest pressure of chamber {min(off)}", (
+            f", and that of chamber {alike[0]} as before: its own make-up valve or line has "
+            "changed, not what feeds both")
+    return Change(what, "", "flow", Value(of, spread, "Pa"), Value(here, spread, "Pa"), "Pa", (
+        f"{whose} is {with_uncertainty(here, spread, 'Pa')}, where {_runs(machine)} have "
+        f"{with_uncertainty(of, spread, 'Pa')}{rest}"), ("pressure_offset",))
 
 
 def _effect(moved: Moved, change: Change, models: Sequence[Model]) -> NamedEffect:
@@ -433,126 +427,3 @@ def _advice(machine: Machine, courses: Sequence[Course], references: tuple[str, 
     if verdict == "unexplained":
         found.append("diagnose it without --reference: that shows the shape of the unknown effect")
     return tuple(found)
-
-
-VISCOUS = ("B", "L")
-
-
-def beside_viscosity(machine: Machine, judged: Judged, viscosity: float) -> Judged:
-    """Return a recording with B or L as changed too, where one has moved beside the other.
-
-    B that has changed by little at the temperature of its oil is what differs but is small.
-
-    Parameters
-    ----------
-    viscosity : of the recording's oil, as :attr:`Machine.viscosity`; NaN where not measured.
-    """
-    warm = _at_temperature(machine, judged, viscosity)
-    if warm is not None and abs(warm.here / warm.machine - 1.0) <= machine.policy.near:
-        judged = replace(judged, balances=tuple(
-            replace(one, small=one.small or warm) if one.balance == warm.candidate.balance
-            else one for one in judged.balances))
-        warm = None
-    moved = warm or _beside_the_other(machine, judged)
-    return judged if moved is None else replace(judged, balances=tuple(
-        one.with_change(moved) if one.balance == moved.candidate.balance else one
-        for one in judged.balances))
-
-
-def _at_temperature(machine: Machine, judged: Judged, viscosity: float) -> Moved | None:
-    """Return B where it has changed at one temperature of the oil; None where nothing says so."""
-    at, (value, total, chance) = damping_at(machine, viscosity), judged.values.get(
-        "B", (0.0, 0.0, 0.0))
-    if at is None or not value > 0.0 or any(
-            moved.candidate.name == "B" for moved in judged.changed):
-        return None
-    t, limit = at.t_of(value, chance, machine.policy.false)
-    if not abs(t) > limit:
-        return None
-    return Moved(judged.of["B"], value, total, at.value, at.stddev, t, limit,
-                 apart=abs((value - at.value) / t), given=" at the temperature of its oil")
-
-
-def _beside_the_other(machine: Machine, judged: Judged) -> Moved | None:
-    """Return B or L where it has changed beside the other; None where nothing says so.
-
-    Nor is it said beside what moves either by itself: another leak, or a sensor of pressure.
-    """
-    policy, of = machine.policy, judged.of
-    if any(name not in judged.values for name in VISCOUS) or any(
-            moved.candidate.name in VISCOUS or moved.candidate.family == "gap"
-            or set(FORCE_OF_SENSORS) & set(moved.rivals) for moved in judged.changed):
-        return None
-    more = np.array([of["L"].configured if name == "L" else 0.0 for name in VISCOUS])
-    found = _steady_sum(machine, more)
-    value, total, chance = (np.array(row) for row in zip(
-        *(judged.values[name] for name in VISCOUS), strict=True))
-    if found is None or not (value + more > 0.0).all():
-        return None
-    logs, noise = found
-    here, own = np.log(value + more), float(np.linalg.norm(chance / (value + more)))
-    means, spreads, runs = logs.mean(axis=0), logs.std(axis=0, ddof=1), len(logs)
-    spread = float(logs.sum(axis=1).std(ddof=1))
-    off = float((here - means).sum())
-    t, limit = _t_of_next(off, spread, runs, (own, noise), policy)
-    if not abs(t) > limit or not abs(np.expm1(off)) > policy.near:
-        return None
-    # If B has changed the oil is as L shows it, and the other way round.
-    warm = np.abs(here - means)[::-1] / spreads
-    i = int(np.argmin(warm))
-    healthy = float(np.exp(means.sum() - here[1 - i]))
-    rivals = (of[VISCOUS[1 - i]].effect,) if warm[1 - i] < policy.varied else ()
-    rivals += FORCE_OF_SENSORS[:1] if VISCOUS[i] == "L" else ()  # its zero makes a leak
-    return Moved(of[VISCOUS[i]], float(value[i]), float(total[i]), healthy - float(more[i]),
-                 healthy * float(np.hypot(spread, noise)), t, limit, rivals=rivals,
-                 apart=healthy * abs(float(np.expm1(off) / t)),
-                 given=f" with the oil that the {('leakage', 'damping')[i]} shows")
-
-
-def _of_references(machine: Machine, name: str) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Return a parameter in each reference and its deviations, (r,) each, of each balance."""
-    return [(np.array(one.each)[:, j], np.array(one.each_stddev)[:, j])
-            for one in machine.balances for j, p in enumerate(one.parameters) if p.name == name]
-
-
-def _t_of_next(off: float, spread: float, runs: int, noise: tuple[float, float], policy: Policy
-               ) -> tuple[float, float]:
-    """Return Student's t of one further logarithm beside those of the references, and its limit.
-
-    Parameters
-    ----------
-    off : from their mean; ``spread`` between them, of ``runs``.
-    noise : by chance, of this recording and of a usual reference, whose is in the spread.
-    """
-    own, usual = noise
-    t = off / np.sqrt(spread**2 * (1.0 + 1.0 / runs) + max(own**2 - usual**2, 0.0))
-    return float(t), limit_of(runs, 1.0, policy.false)
-
-
-def _steady_sum(machine: Machine, more: np.ndarray) -> tuple[np.ndarray, float] | None:
-    """Return ln B and ln L of each reference, (r, 2), and the usual deviation of their sum.
-
-    None where the sum is not surely steadier than both, by Student's t of Pitman (1939) and Morgan
-    (1939) for two variances of the same recordings; or where these are parts of one, of one oil.
-
-    Parameters
-    ----------
-    more : what the config has of both beside, (2,).
-    """
-    rows = [(value + held, deviation) for name, held in zip(VISCOUS, more, strict=True)
-            for value, deviation in _of_references(machine, name)]
-    if machine.pieces or len(rows) < 2 or any((value <= 0.0).any() for value, _ in rows):
-        return None
-    logs = np.log(np.transpose([value for value, _ in rows]))
-    both = logs.sum(axis=1)
-    if min(steadier(one, both) for one in logs.T) < machine.policy.repeats:
-        return None
-    return logs, float(np.median(np.linalg.norm([d / v for v, d in rows], axis=0)))
-
-
-def steadier(one: np.ndarray, other: np.ndarray) -> float:
-    """Return Student's t of the other varying less than the one, over the same recordings."""
-    if len(one) < 3:
-        return 0.0
-    r = float(np.corrcoef(one + other, one - other)[0, 1])
-    return r * float(np.sqrt((len(one) - 2) / max(1.0 - r * r, 1e-12)))

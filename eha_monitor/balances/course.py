@@ -146,9 +146,8 @@ class Course:
     def shows(self) -> bool:
         """Whether the piston moves in it, and the force with it."""
         pressures = [one for one in (self.p1, self.p2) if one is not None]
-        return bool(self.moving.any()) and all(any(
-            changes(one[self.good]) for one in signals)
-            for signals in ([self.force], pressures or [self.force]))
+        return bool(self.moving.any()) and _changes(self.force[self.good]) and (
+            not pressures or any(_changes(one[self.good]) for one in pressures))
 
     @property
     def has_flow(self) -> bool:
@@ -366,7 +365,7 @@ def _gaps(missing: np.ndarray, short: int) -> np.ndarray:
     return found
 
 
-def changes(values: np.ndarray) -> bool:
+def _changes(values: np.ndarray) -> bool:
     """Tell whether values are more than one, but for rounding."""
     return bool(np.ptp(values) > ROUNDING * np.abs(values).max())
 

@@ -120,7 +120,7 @@ class JudgedBalance:
                 or explains(self.error, self.after, self.usual, POLICY))
 
     def refused(self) -> "JudgedBalance":
-        """Return the balance without its changes, which leave many times what healthy ones do.
+        """Return the balance without its changes, which are not what came.
 
         A speed limit was told so as a gain of the drive, surely, and play as one.
         """

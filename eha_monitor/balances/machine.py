@@ -231,6 +231,11 @@ class Machine:
         return settings.model_copy(update={
             "effects": self.effects, "rig": settings.rig.model_copy(update=self.numbers)})
 
+    def of_references(self, name: str) -> list[tuple[np.ndarray, np.ndarray]]:
+        """Return a parameter in each reference and its deviations, (r,) each, of each balance."""
+        return [(np.array(one.each)[:, j], np.array(one.each_stddev)[:, j])
+                for one in self.balances for j, p in enumerate(one.parameters) if p.name == name]
+
     def __getitem__(self, balance: str) -> MachineBalance:
         return next(one for one in self.balances if one.balance == balance)
 

@@ -196,6 +196,22 @@ def scatter_of(tables: Sequence[Table], weights: dict[str, float], settings: Seq
     return made(values, powers, limit)
 
 
+def t_of_next(off: float, spread: float, runs: float, share: float,
+              noise: tuple[float, float] = (0.0, 0.0), more: float = 0.0) -> tuple[float, float]:
+    """Return Student's t of one further number beside those of the references, and its limit.
+
+    Parameters
+    ----------
+    off : from their mean; ``spread`` between them, of ``runs``.
+    share : of healthy recordings that may be beyond the limit.
+    noise : by chance, of this recording and of a usual reference, whose is in the spread.
+    more : standard deviation of what their mean stands for.
+    """
+    own, usual = noise
+    t = off / np.sqrt(spread**2 * (1.0 + 1.0 / runs) + max(own**2 - usual**2, 0.0) + more**2)
+    return float(t), limit_of(runs, 1.0, share)
+
+
 def _different(products: np.ndarray) -> float:
     """Return how many of the columns are different ones: (sum l)^2 / sum l^2, l eigenvalues."""
     scale = np.sqrt(np.maximum(np.diag(products), 1e-300))
@@ -203,6 +219,6 @@ def _different(products: np.ndarray) -> float:
     return float(eigen.sum() ** 2 / max((eigen**2).sum(), 1e-300)) if len(eigen) else 1.0
 
 
-def limit_of(runs: int, count: float, share: float) -> float:
+def limit_of(runs: float, count: float, share: float) -> float:
     """Return the |t| beyond which one of ``count`` terms goes in a share of healthy runs."""
     return float(-stdtrit(runs - 1, 0.5 * share / count))

@@ -16,7 +16,7 @@ import numpy as np
 
 from eha_monitor.balances.course import Course
 from eha_monitor.balances.machine import Machine, MachineBalance
-from eha_monitor.balances.scatter import limit_of
+from eha_monitor.balances.scatter import t_of_next
 
 LAW = 0.3  # spread of s: coefficients of hydraulic oils between 0.02 and 0.05 per kelvin
 
@@ -53,10 +53,8 @@ class AtOil:
         chance : standard deviation of ``value`` by noise alone.
         share : of healthy recordings that may be beyond the limit.
         """
-        own = max((chance / value) ** 2 - self.noise**2, 0.0)
-        variance = self.spread**2 * (1.0 + 1.0 / (self.freedom + 1.0)) + self.law**2 + own
-        return float(np.log(value / self.value) / np.sqrt(variance)), limit_of(
-            self.freedom + 1.0, 1.0, share)
+        return t_of_next(float(np.log(value / self.value)), self.spread, self.freedom + 1.0, share,
+                         (chance / value, self.noise), self.law)
 
 
 def damping_at(machine: Machine, viscosity: float) -> AtOil | None:
@@ -66,12 +64,10 @@ def damping_at(machine: Machine, viscosity: float) -> AtOil | None:
     ----------
     viscosity : of the recording's oil, as :attr:`Machine.viscosity`; NaN where not measured.
     """
-    force = next((one for one in machine.balances if one.balance == "force"), None)
-    names = [] if force is None else [p.name for p in force.parameters]
-    if machine.pieces or not machine.viscosity or not np.isfinite(viscosity) or "B" not in names:
+    rows = machine.of_references("B")
+    if machine.pieces or not machine.viscosity or not np.isfinite(viscosity) or len(rows) != 1:
         return None
-    each, deviation = (np.array(rows)[:, names.index("B")]
-                       for rows in (force.each, force.each_stddev))
+    each, deviation = rows[0]
     if len(each) < 2 or not (each > 0.0).all():
         return None
     u = np.log(machine.viscosity)

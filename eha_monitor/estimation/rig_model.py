@@ -20,7 +20,7 @@ from eha_monitor.settings.rig import Rig
 
 SMOOTHED = 5  # samples on each side over which the mean pressure is smoothed
 LINE = NAMES.index("line_dynamics")
-VALVES = ("relief_valve", "anti_cavitation")
+VALVES = ("relief_valve", "anti_cavitation")  # of the conductance k beyond a pressure
 NEAR = 3.0  # times the noise of a pressure sensor
 STIFF_VALVE = 0.5  # times in a sample that a chamber settles by it
 FLOW_BALANCE = {s.FLOW_1, s.FLOW_2, s.COMPLIANCE_1, s.COMPLIANCE_2, s.VOLUME_1, s.VOLUME_2}
@@ -179,6 +179,7 @@ def valve_open(model: RigModel, channels: dict, noise: float) -> np.ndarray:
             found |= np.fmin(p1, p2) < effects[name]["p_min"] + near
         else:
             found |= np.abs(p1 - p2) > effects[name]["p_c"] - near
+    # As far as the mean pressure, of which stage two takes its own, mixes neighbours.
     return np.convolve(found, np.ones(2 * SMOOTHED + 1), mode="same") > 0.5
 
 

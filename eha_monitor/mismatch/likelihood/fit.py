@@ -18,6 +18,7 @@ from functools import lru_cache, partial
 
 import numpy as np
 
+from eha_monitor.estimation.rig_model import VALVES
 from eha_monitor.estimation.sensors import true_pressure
 from eha_monitor.mismatch.data.experiment import MOST_STEPS, STEP_DECAY, Experiment
 from eha_monitor.mismatch.likelihood.gains import Unknowns, decay_of, gains_of
@@ -35,8 +36,7 @@ from eha_monitor.physics.plant import N_OUTPUTS, Step, actuator_of, new_state
 
 SINGULAR = 1e-12  # of a correlation: what rounding may make of it
 # Effects whose flow goes with a pressure beyond a set point, and the places of those slopes.
-CONDUCTANCES = tuple((NAMES.index(name), place_of(f"{name}.k"))
-                     for name in ("relief_valve", "anti_cavitation"))
+CONDUCTANCES = tuple((NAMES.index(name), place_of(f"{name}.k")) for name in VALVES)
 
 
 @dataclass(frozen=True)
