@@ -171,9 +171,10 @@ def test_where_the_model_fits_nothing_is_looked_at():
 def test_a_look_stands_for_as_long_as_its_rows_are_among_the_last():
     known = {"B": ParameterEstimate("B", 600.0, 6.0, "N·s/m", "converged")}
     looks = (Beside(5.0, known), Beside(7.0, {}), Beside(30.0, {}))
-    assert stands(looks, 4.9, "B") is None and stands(looks, 5.0, "B") is known["B"]
-    assert stands(looks, 7.5, "B") is known["B"] and stands(looks, 7.5, "beta_e") is None
-    assert stands(looks, 5.0 + LOOK_S, "B") is known["B"]
+    assert stands(looks, 4.9, "B") is None and stands(looks, 5.0, "B") == known["B"]
+    assert stands(looks, 7.5, "B") == replace(known["B"], age_s=2.5)
+    assert stands(looks, 7.5, "beta_e") is None
+    assert stands(looks, 5.0 + LOOK_S, "B") == replace(known["B"], age_s=LOOK_S)
     assert stands(looks, 5.1 + LOOK_S, "B") is None and stands((), 5.0, "B") is None
 
 

@@ -145,9 +145,17 @@ class Course:
     @property
     def shows(self) -> bool:
         """Whether the piston moves in it, and the force with it."""
+        return not self.still
+
+    @property
+    def still(self) -> str:
+        """What does not move in it, in words; empty where the piston does, and its force."""
+        if not self.moving.any():
+            return "nothing moves in it"
         pressures = [one for one in (self.p1, self.p2) if one is not None]
-        return bool(self.moving.any()) and _changes(self.force[self.good]) and (
-            not pressures or any(_changes(one[self.good]) for one in pressures))
+        if pressures and not any(_changes(one[self.good]) for one in pressures):
+            return "the pressures do not change in it, while the piston moves"
+        return "" if _changes(self.force[self.good]) else "the force does not change in it"
 
     @property
     def has_flow(self) -> bool:
@@ -393,8 +401,8 @@ def courses_of(recordings: Sequence[Recording], settings: Settings
     lines = [f"left out: {problem}" for problem in problems]
     moves = [course.shows for course in courses]
     if any(moves):  # at rest a seal holds whatever load there is
-        lines += [f"left out: {one.source}: nothing moves in it"
-                  for one, there in zip(kept, moves, strict=True) if not there]
+        lines += [f"left out: {one.source}: {course.still}"
+                  for one, course in zip(kept, courses, strict=True) if course.still]
         kept, courses = list(compress(kept, moves)), list(compress(courses, moves))
     return kept, courses, tuple(lines)
 

@@ -3,7 +3,7 @@
 import bisect
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -35,6 +35,7 @@ class ParameterEstimate:
     unit : as shown to people, e.g. ``N·s/m``.
     status : see the interface contract.
     message : the status as a full sentence with its reason.
+    age_s : how long ago the rows end that least squares were made of; 0 of a filter's.
     """
 
     name: str
@@ -43,6 +44,7 @@ class ParameterEstimate:
     unit: str
     status: Status
     message: str = ""
+    age_s: float = 0.0
 
     @property
     def shown(self) -> str:
@@ -274,7 +276,7 @@ def stands(looks: Sequence[Beside], elapsed_s: float, symbol: str) -> ParameterE
         if elapsed_s - one.time_s > LOOK_S:
             break
         if (found := one.determined(symbol)) is not None:
-            return found
+            return replace(found, age_s=max(elapsed_s - one.time_s, 0.0))
     return None
 
 

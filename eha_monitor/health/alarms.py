@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from eha_monitor.balances.parameters import EVERY_S
 from eha_monitor.estimation.model_watch import LONGEST_TRIAL_S, Trial
 from eha_monitor.estimation.results import Beside, ParameterEstimate, Taint, stands, units_of
 from eha_monitor.health.judge import (
@@ -197,8 +198,9 @@ class AlarmBoard:
                                                 f"{taint.reason}")
         if other is None:
             return _Read(value, stddev, shown, taint, UNKNOWN)
+        age = f", {other.age_s:.0f} s ago" if other.age_s > 2.0 * EVERY_S else ""
         return _Read(value, stddev, shown, taint, note=f"by least squares on the "
-                     f"{BALANCES[symbol]} balance: {taint.reason}",
+                     f"{BALANCES[symbol]} balance{age}: {taint.reason}",
                      look=(other.value, other.stddev))
 
     def _judge_one(self, judge: Judge, time_s: float, estimate: ParameterEstimate | None,

@@ -174,7 +174,18 @@ LOOK_FOR = {
     ("B", False): "check the oil's temperature and grade, and the areas in the config",
     ("beta_e", True): "check the volumes in the config",
     ("beta_e", False): "look for air in the oil: bleed the circuit, check the suction side and "
-                       "the charge pressure"}
+                       "the charge pressure",
+    ("pump_displacement", True): "check the position sensor and the speed sensor: a pump does not "
+                                 "grow by wear",
+    ("pump_displacement", False): "check the pump for wear, its coupling and the speed sensor",
+    ("charge_pressure", True): "check the charge pump's relief valve, and a return line or filter "
+                               "that is blocked",
+    ("charge_pressure", False): "check the charge pump, the gas pressure of the accumulator and "
+                                "the oil level",
+    ("makeup_valve", True): "check that chamber's make-up valve: one that stays open lets the "
+                            "source's pressure in",
+    ("makeup_valve", False): "check that chamber's make-up valve and its line: blocked, or closed "
+                             "by dirt"}
 
 
 def _look_for(change: Change) -> str:

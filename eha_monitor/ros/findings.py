@@ -116,6 +116,8 @@ def _doubts(model: ModelStatus, symbol: str) -> dict[str, float | int | str]:
     if standing:
         values["tainted_since_s"] = float(taint.since_s)
         values["by_least_squares"] = int(taint.instead is not None)
+        if taint.instead is not None:
+            values["least_squares_age_s"] = taint.instead.age_s
     return values
 
 

@@ -148,7 +148,8 @@ def _limits_in(unit: str, name: str, possible: tuple[float, float] | None = None
     words = {"low_error": "below this: ERROR", "low_warn": "below this: WARN",
              "high_warn": "above this: WARN", "high_error": "above this: ERROR"}
     return create_model(name, __base__=Limits, __doc__=Limits.__doc__, __module__=__name__, **{
-        key: (Si(unit, words[key], optional=True, possible=possible), None) for key in LIMITS})
+        key: (Si(unit, words[key], optional=True, possible=possible, ge=0), None)
+        for key in LIMITS})
 
 
 DampingLimits = _limits_in("N·s/m", "DampingLimits")
