@@ -27,6 +27,7 @@ GAP = 1.5
 OTHER_RATE = 1.5
 # So much later than at best is late; usual are some milliseconds, on a busy machine tens.
 LATE_S = 0.1
+AHEAD_S = 0.5  # by which a stamp is ahead of its receipt, against what is usual
 # Looks after which it is known how receipt and stamp usually drift apart.
 GROWTHS = 5
 INTERRUPTED_S = 1.0  # without data: nothing is lost between, the source was not there
@@ -280,7 +281,7 @@ class FaultWatch:
                 self._steps(source, past, steps, now)
                 self._numbers(source, past, now)
                 if source.taken > past.counts.taken and source.last_ns is not None:
-                    self._lateness(source, past, now)
+                    self._lateness(source, past, steps, now)
             past.counts, past.rows = source.counts(), self.stillness.rows
             past.counted = {name: self.stillness.counts.get(name, 0) for name in source.channels}
         while self._wild:
@@ -351,8 +352,8 @@ class FaultWatch:
                       "longer than "
                       f"{self._latency:g} s (monitor.latency)")
 
-    def _lateness(self, source: Source, past: _Past, now: float) -> None:
-        """Name messages that come long after their stamp, against what is usual.
+    def _lateness(self, source: Source, past: _Past, steps: np.ndarray, now: float) -> None:
+        """Name messages that come long after their stamp, or long before, against what is usual.
 
         The stamps' clock may be another one, and run at another rate (a replay): only a step of
         the difference between receipt and stamp tells, not its usual growth.
@@ -366,6 +367,10 @@ class FaultWatch:
             past.best, past.was_late = behind, False
             return
         growth = statistics.median(past.growth)
+        ahead = (past.best + growth * elapsed - behind) / max(1.0 - growth, 0.01)
+        if min(ahead, steps.max(initial=0.0)) > AHEAD_S:  # what waited catches up step by step
+            self.note(f"ahead {source.name}", now, f"{source.name}: stamps jump ahead by "
+                      f"{ahead:.2f} s of the time in which they came (a clock that was set)")
         past.best = min(past.best + growth * elapsed, behind)
         excess = (behind - past.best) / max(1.0 - growth, 0.01)  # of stamps, in our own time
         late = excess > LATE_S
