@@ -6,8 +6,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.signal import lfilter
 
-from eha_monitor.estimation.consistency import Window, judge, variance_ratios, while_changing
-from eha_monitor.estimation.results import judge_parameter, no_data
+from eha_monitor.estimation.consistency import (
+    Window,
+    judge,
+    stage_verdict,
+    variance_ratios,
+    while_changing,
+)
+from eha_monitor.estimation.results import ONE, ParameterEstimate, judge_parameter, no_data
 from eha_monitor.estimation.supervision import (
     BLOCK,
     INFORMATION,
@@ -208,3 +214,13 @@ def test_a_status_says_in_units_and_per_cent_what_the_motion_told():
         "too little motion to identify B: 540 ± 90 N·s/m, prior 500 ± 100 N·s/m")
     lost = judge_parameter("beta_e", -5e8, 1e6, "Pa", 5e8, 1e9)
     assert "βe went to −500 MPa, which is not physical" in lost.message
+
+
+def test_a_damping_that_becomes_negative_dates_the_mismatch_to_what_showed_it():
+    e = np.random.default_rng(0).standard_normal(8_000)
+    parameter = ParameterEstimate("B", 600.0, 1.0, "N·s/m", "converged")
+    changes = np.array([[5_000.0, 600.0, -400.0, 200.0], [5_600.0, -400.0, 600.0, 300.0]])
+    found = stage_verdict(ONE, parameter, e, np.ones(len(e)), Window(1e-3, start=20.0), changes)
+    assert not found.consistent and found.first_time_s == pytest.approx(24.8)
+    assert "no friction drives" in found.message
+    assert stage_verdict(ONE, parameter, e, np.ones(len(e)), Window(1e-3), changes[:0]).consistent

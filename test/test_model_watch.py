@@ -134,7 +134,7 @@ def test_only_what_least_squares_determine_stands_instead():
     vague = ParameterEstimate("beta_e", 6e8, 3e8, "Pa", "not_excited")
     found = tainted_by([standing("one")], {"B": known, "beta_e": vague},
                        [Beside(5.0, {"B": known, "beta_e": vague})], 5.0)
-    assert found["B"].instead is known and found["beta_e"].instead is None
+    assert found["B"].instead == known and found["beta_e"].instead is None
 
 
 @pytest.mark.parametrize(("value", "doubted"), [(620.0, False), (680.0, True)])
@@ -168,6 +168,14 @@ def test_what_is_only_new_dates_no_mismatch():
         trial.update(0.1 * k, 600.0 if k < 20 else 1200.0)
         assert (trial.moved is None) == (k < 20)
     assert trial.moved.since_s == pytest.approx(2.0)
+
+
+def test_a_new_value_that_settles_within_its_deviation_has_not_moved():
+    trial = Trial("N·s/m")
+    for k in range(30):
+        trial.update(0.1 * k, 600.0 + 200.0 * 0.5**k, 150.0 * 0.5**k)
+        assert trial.moved is None
+    assert trial.update(3.0, 660.0, 1.0) is not None and trial.moved is not None
 
 
 def test_a_trial_is_of_the_last_moments_however_long_the_value_goes_on_moving():

@@ -171,6 +171,9 @@ class Window:
     seconds: float = 0.0
 
 
+_IMPOSSIBLE = {"B": "no friction drives", "beta_e": "no oil grows under pressure"}
+
+
 def stage_verdict(stage: Stage, parameter: ParameterEstimate, innovation: np.ndarray,
                   stddev: np.ndarray, window: Window, changes: np.ndarray | None = None
                   ) -> Consistency | None:
@@ -185,10 +188,11 @@ def stage_verdict(stage: Stage, parameter: ParameterEstimate, innovation: np.nda
         return None
     if verdict.consistent and changes is not None and (changes[:, 2] < 0.0).any():
         worst = changes[ties.largest(-changes[:, 2])]
-        verdict = replace(verdict, consistent=False, decisive=True, message=(
+        began = float((worst[0] - worst[3]) * window.dt) + window.start
+        verdict = replace(verdict, consistent=False, decisive=True, first_time_s=began, message=(
             f"{stage.words}: {SYMBOLS[parameter.name]} had to become "
             f"{quantity(worst[2], parameter.unit)} near t = "
-            f"{worst[0] * window.dt + window.start:.2f} s, and no friction drives: "
+            f"{worst[0] * window.dt + window.start:.2f} s, and {_IMPOSSIBLE[parameter.name]}: "
             f"{stage.missing}"))
     if parameter.status != "not_excited":
         return verdict

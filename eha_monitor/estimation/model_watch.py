@@ -34,6 +34,7 @@ LONGEST_FITTING_S = 60.0
 # A value that has moved so far is on trial for so long before it may raise an alarm.
 MOVED = 0.05
 TRIAL_S = 2.5
+SURELY = 2.0  # standard deviations
 FAR = 3.0  # standard deviations, beyond ``MOVED`` of the value: a contradiction
 LONGEST_TRIAL_S = 5.0  # dry friction that appears is told within so long (measured: 2 to 5 s)
 
@@ -115,10 +116,11 @@ class Trial:
     """Whether a value that has moved has stood the test of the model since.
 
     A friction that appears looks like damping until the motion shows otherwise.  A value is on
-    trial while it differs by more than ``MOVED`` from what it was at any time in the last
-    ``TRIAL_S``, or is no older than that.  So a slow drift is never on trial; one that goes on
-    moving stays on trial, but holds an alarm back no longer than ``LONGEST_TRIAL_S``
-    (:meth:`health.judge.Judge.judge`).
+    trial while it differs by more than ``MOVED``, beyond ``SURELY`` standard deviations that it
+    had then, from what it was at any time in the last ``TRIAL_S``, or is no older than that.  So
+    a slow drift is never on trial, and a new value that settles within its ± has not moved; one
+    that goes on moving stays on trial, but holds an alarm back no longer than
+    ``LONGEST_TRIAL_S`` (:meth:`health.judge.Judge.judge`).
 
     Parameters
     ----------
@@ -131,20 +133,22 @@ class Trial:
 
     def __init__(self, unit: str):
         self._unit, self._moving = unit, False
-        self._low: deque[tuple[float, float]] = deque()  # (s, value), rising: the least first
-        self._high: deque[tuple[float, float]] = deque()
+        # (s, bound, value): the upper bounds, rising, and the lower ones, falling.
+        self._upper: deque[tuple[float, float, float]] = deque()
+        self._lower: deque[tuple[float, float, float]] = deque()
         self._known = self._began = math.inf
         self.taint: Taint | None = None
 
-    def update(self, time_s: float, value: float | None) -> Taint | None:
+    def update(self, time_s: float, value: float | None, stddev: float = 0.0) -> Taint | None:
         """Take the value, None while it is not known; return the doubt that it deserves."""
         if value is None or not math.isfinite(value):
             self.__init__(self._unit)
             return None
         self._known = min(self._known, time_s)
-        low, high = self._extremes(time_s, value)
-        before = max(low, high, key=lambda other: abs(value - other) / max(abs(other), 1e-300))
-        moved = abs(value - before) > MOVED * abs(before)
+        upper, lower = self._bounds(time_s, value, SURELY * stddev)
+        away, before = max((value - upper[1], upper[2]), (lower[1] - value, lower[2]),
+                           key=lambda one: one[0] / max(abs(one[1]), 1e-300))
+        moved = away > MOVED * abs(before)
         if not moved and time_s - self._known >= TRIAL_S:
             self.taint, self._moving = None, False
             return None
@@ -163,15 +167,17 @@ class Trial:
         """The doubt while the value has moved; None where it is only new."""
         return self.taint if self._moving else None
 
-    def _extremes(self, time_s: float, value: float) -> tuple[float, float]:
-        """Return the least and the largest value of the last ``TRIAL_S``."""
-        for kept, sign in ((self._low, 1.0), (self._high, -1.0)):
-            while kept and sign * (kept[-1][1] - value) >= 0:
+    def _bounds(self, time_s: float, value: float, doubt: float
+                ) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
+        """Return the least upper and the largest lower bound of the last ``TRIAL_S``."""
+        for kept, sign in ((self._upper, 1.0), (self._lower, -1.0)):
+            bound = value + sign * doubt
+            while kept and sign * (kept[-1][1] - bound) >= 0:
                 kept.pop()
-            kept.append((time_s, value))
+            kept.append((time_s, bound, value))
             while time_s - kept[0][0] > TRIAL_S - 1e-6:
                 kept.popleft()
-        return self._low[0][1], self._high[0][1]
+        return self._upper[0], self._lower[0]
 
 
 def tainted_by(mismatches: Iterable[Mismatch],

@@ -376,7 +376,7 @@ def _trials(trials: dict[str, Trial], time_s: float, row: dict[str, ParameterEst
     for symbol, trial in trials.items():
         estimate = row[symbol]
         known = estimate.status == "converged"
-        taint = trial.update(time_s, estimate.value if known else None)
+        taint = trial.update(time_s, estimate.value if known else None, estimate.stddev)
         if taint is not None:
             found[symbol] = taint
     return found

@@ -398,7 +398,8 @@ class LiveModel:
         """
         for name, trial in self._trials.items():
             known = parameters[name].status == "converged"
-            trial.update(time_s, parameters[name].value if known else None)
+            trial.update(time_s, parameters[name].value if known else None,
+                         parameters[name].stddev)
 
     def status(self, time_s: float, parameters: dict[str, ParameterEstimate]) -> ModelStatus:
         """Return what is known about the model now, and which estimates are in doubt."""

@@ -164,6 +164,7 @@ def adopted_before(path: Path, settings: Settings) -> Adopted | None:
 PACKAGE = Path(__file__).parents[1]
 WALL = 10.0  # times its processor time: then it hangs
 QUANTISATION = "position_quantisation"
+FOUND = ("effects", "rig_data", "learned")  # what a diagnosis puts into a config
 _NO_MEMORY = ("MemoryError", "Memory allocation", "Cannot allocate memory")
 
 
@@ -295,6 +296,11 @@ class Diagnosing:
         self._reader = threading.Thread(target=self._read, daemon=True, name="diagnosis")
         self._reader.start()
 
+    @property
+    def seconds(self) -> float:
+        """For how long it has run."""
+        return time.monotonic() - self._started
+
     def take(self) -> Answer | None:
         """Return the answer once there is one."""
         return self._answer
@@ -319,17 +325,17 @@ class Diagnosing:
             return
         try:
             tree = json.loads((self._folder / "diagnosis.json").read_text(encoding="utf-8"))
-            completed = load_settings(self._folder / "completed.yaml") if tree["verdict"] in (
-                "mismatch", "unexplained") else None
+            completed = load_settings(self._folder / "completed.yaml") if any(
+                tree.get(kind) for kind in FOUND) else None
         except (OSError, ValueError, KeyError, InputError) as problem:
             self._answer = self._failed(f"left no answer: {problem}")
             return
         self._answer = Answer("", self._folder, self._bags, tree, completed,
-                              time.monotonic() - self._started)
+                              self.seconds)
 
     def _failed(self, why: str) -> Answer:
         return Answer(f"the diagnosis of {self._bags[0]} {why}", self._folder, self._bags,
-                      wall_s=time.monotonic() - self._started)
+                      wall_s=self.seconds)
 
     def _why(self, status: int) -> str:
         """Return why it ended without an answer, as the end of a sentence."""

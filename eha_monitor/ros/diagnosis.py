@@ -76,7 +76,7 @@ class SelfDiagnosis:
         self._target: Adopted | None = None  # of the exchange that is under way
         self._gate = False
         self._events, self._last_event = 0, {}
-        self._waits = ""  # who asked for a diagnosis while another actuator's was under way
+        self._waits = ""  # who asked for a diagnosis while another was under way, or a comparison
         self._comparison = Comparison(settings, keeper, self._tell, self._log_ns) if (
             settings.diagnosis.machine and keeper.ring is not None) else None
         self._began_anew()
@@ -107,7 +107,8 @@ class SelfDiagnosis:
         self._waits = self._waits if self._waits == SERVICE else ""
         self._since_s: float | None = None
         self._tries, self._explained = 0, False
-        self._same: list[tuple[Path, int]] = []  # bags of this mismatch, and where each ends, ns
+        # Bags of this mismatch that are of one state, as far as is known, and where each ends, ns.
+        self._same: list[tuple[Path | None, int]] = []
 
     # ---- what the monitor tells -----------------------------------------------------------------
 
@@ -212,7 +213,10 @@ class SelfDiagnosis:
             return "the buffer is off: monitor.buffer_minutes is 0"
         if self._busy:
             if not self._elsewhere:
-                return f"{self._state()}: expected none"
+                so_far = "" if self._running is None else (
+                    f" for {self._running.seconds:.0f} s, and may take "
+                    f"{self._settings.diagnosis.processor_time:g} s of processor time")
+                return f"{self._state()}{so_far}: expected none; call again when it has ended"
             self._wait(SERVICE)
         else:
             self._begin(SERVICE)
@@ -220,11 +224,11 @@ class SelfDiagnosis:
 
     @property
     def _elsewhere(self) -> bool:
-        """Whether another actuator's diagnosis is all that is in the way."""
-        return self._coming is None and TURN.holder not in (None, self, self._comparison)
+        """Whether all that is in the way is another actuator's diagnosis, or a comparison."""
+        return self._coming is None and TURN.holder not in (None, self)
 
     def _wait(self, by: str) -> None:
-        """Begin as soon as the other actuator's diagnosis has ended."""
+        """Begin as soon as what is in the way has ended."""
         if not self._waits:
             self._waits = by
             self._say()
@@ -250,7 +254,7 @@ class SelfDiagnosis:
         if bag.problem is not None:
             self._ended(Answer(bag.problem, bag.path, (bag.path,)))
             return
-        bags = [bag.path, *(path for path, _ in reversed(self._same) if path.is_dir())]
+        bags = [bag.path, *(path for path, _ in reversed(self._same) if path and path.is_dir())]
         if self._since_s is not None:
             self._same.append((bag.path, bag.last_ns))
         try:
@@ -281,6 +285,9 @@ class SelfDiagnosis:
         else:
             self._answer = answer
             self._explained = self._since_s is not None and self._adoptable() is None
+            if answer.completed is None and answer.verdict != "consistent" and self._same:
+                # It may hold the change itself; what comes after it is diagnosed by itself.
+                self._same = [(None, self._same[-1][1])]
             self._tell(f"diagnosed {', '.join(map(str, answer.bags))} in {answer.wall_s:.0f} s: "
                        f"{answer.verdict}: {answer.message}")
         service = self._services["diagnose"]
@@ -393,11 +400,11 @@ class SelfDiagnosis:
             return "the recording is being saved"
         if self._running is not None:
             return "a diagnosis is under way"
-        if self._comparison is not None and TURN.holder is self._comparison:
-            return "a comparison with the healthy machine is under way"
         if TURN.holder is None:
             return "idle"
-        return f"{'waits: ' if self._waits else ''}a diagnosis of another actuator is under way"
+        what = ("a comparison with the healthy machine" if TURN.holder is self._comparison
+                else "a diagnosis of another actuator")
+        return f"{'waits: ' if self._waits else ''}{what} is under way"
 
     def _tell(self, text: str, level: str = "OK") -> None:
         """Log an event and publish it."""
