@@ -17,6 +17,7 @@ from eha_monitor.balances.candidates import BALANCES, Scale, candidates_of
 from eha_monitor.balances.changed import against
 from eha_monitor.balances.course import BOTH, IN_TURN, course_of, oil_of
 from eha_monitor.balances.least_squares import unexcluded
+from eha_monitor.balances.machine import machine_from
 from eha_monitor.balances.parameters import compressibility
 from eha_monitor.balances.policy import POLICY
 from eha_monitor.balances.scatter import amplitudes_of
@@ -535,8 +536,30 @@ def test_a_force_that_keeps_one_value_is_no_balance(settings):
     one = stranger(0, **CALM)
     frozen = {name: np.full(len(one), 2e6) for name in ("p1", "p2")}
     found = answered([replace(one, channels={**one.channels, **frozen})], settings)
-    assert found.verdict == "insufficient_data" and "keeps one value" in found.message
+    assert found.verdict == "insufficient_data" and "pressures keep one value" in found.message
     assert found.baselines[0].force is None
+
+
+def test_a_drive_that_hunts_shows_no_friction(settings):
+    """A limit cycle of 7 Hz under slow strokes: 7 % of it told a spring of 36 kN/m at 95 %."""
+    one = stranger(0, **CALM)
+    t = np.arange(len(one)) * one.sample_time
+    cycle = 4e-3 * np.sin(2.0 * np.pi * 7.0 * t)
+    hunting = replace(one, channels={**one.channels, "x": 0.2 * one.channels["x"] + cycle})
+    found = answered([hunting], settings)
+    assert found.verdict == "insufficient_data" and "a drive that hunts?" in found.message
+    assert "left out" in "".join(answered([one, hunting], settings).health)
+
+
+def test_a_recording_of_few_samples_breaks_no_other(settings):
+    """Two samples are fitted exactly: their weight was infinite, and the SVD did not converge."""
+    courses = [course_of(stranger(seed, **CALM), settings) for seed in range(3)]
+    moving = np.zeros_like(courses[2].moving)
+    moving[np.flatnonzero(courses[2].moving)[0]:][:2 * courses[2].every] = True
+    courses[2] = replace(courses[2], moving=moving)
+    assert courses[2].compared(moving).sum() == 2 and "too little" in courses[2].still
+    machine = machine_from(courses, settings.rig, (), (), POLICY)
+    assert all(np.isfinite(p.value) for one in machine.balances for p in one.parameters)
 
 
 def test_damping_beside_laws_that_fit_as_well_is_as_unsure(settings):

@@ -3,10 +3,12 @@
 from dataclasses import replace
 
 import pytest
+from machine_tools import machine_of
 from rig_tools import settings, simulated
 
 from eha_monitor.balances.answer import answered
 from eha_monitor.balances.candidates import Scale, candidates_of
+from eha_monitor.balances.changed import against
 from eha_monitor.balances.course import course_of
 from eha_monitor.balances.policy import POLICY
 from eha_monitor.balances.table import tables_of
@@ -28,6 +30,15 @@ def test_a_spring_brings_no_load_of_its_own(load):
     assert named["spring_load"].parameters["k"].value == pytest.approx(3000.0, rel=0.02)
     assert ("constant_load" in named) is bool(load)
 
+
+
+def test_a_load_beside_a_spring_is_that_at_zero_in_a_comparison_too():
+    """Healthy recordings of 809 N were said to have -4331 N, the load where the motion begins."""
+    machine = machine_of([spring(60.0)] * 3, settings())
+    found = against(machine, [spring(200.0)], settings(), ("a", "b", "c"))
+    (load,) = [one for one in found.changes if one.what == "constant_load"]
+    assert load.reference.value == pytest.approx(60.0, abs=2.0)
+    assert load.now.value == pytest.approx(200.0, abs=2.0)
 
 
 def test_how_large_a_spring_may_be_does_not_depend_on_where_its_column_begins():

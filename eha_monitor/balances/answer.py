@@ -16,7 +16,7 @@ from eha_monitor.balances.candidates import (
     candidate_of,
     candidates_of,
 )
-from eha_monitor.balances.course import Course, course_of, courses_of
+from eha_monitor.balances.course import NO_MOTION, Course, course_of, courses_of
 from eha_monitor.balances.least_squares import rms
 from eha_monitor.balances.machine import Machine, machine_from, pressure_varied
 from eha_monitor.balances.mean_pressure import leak_or_source
@@ -189,13 +189,12 @@ def still(recordings: Sequence[Recording], courses: Sequence[Course], baselines:
     """Return the answer for recordings in which nothing moves."""
     moved = max(float(np.ptp(course.x)) for course in courses)
     noise = max(course.sensors["x"] for course in courses)
-    small = (f"the piston moves by {quantity(moved, 'm', 2)} only, with "
-             f"{quantity(noise, 'm', 2)} of noise: too little motion to identify anything")
-    frozen = (f"the piston moves by {quantity(moved, 'm', 2)}, and the force on it keeps one "
-              "value to the last digit: it is not measured, or changes by less than a digit")
+    why = next((course.still for course in courses if course.still != NO_MOTION), None)
     return Diagnosis(
         tuple(one.source for one in recordings), "insufficient_data",
-        frozen if any(course.moving.any() for course in courses) else small,
+        f"the piston moves by {quantity(moved, 'm', 2)}, but {why}" if why else
+        f"the piston moves by {quantity(moved, 'm', 2)} only, with {quantity(noise, 'm', 2)} of "
+        "noise: too little motion to identify anything",
         Location(dict.fromkeys(WHERE, 0.0), "", ()), (), {}, {}, "held_out", {},
         baselines=baselines, duration_s=sum(one.duration for one in recordings),
         wall_s=time.perf_counter() - started)

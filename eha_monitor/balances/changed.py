@@ -18,7 +18,7 @@ from eha_monitor.balances.judge import (
     left_unseen,
 )
 from eha_monitor.balances.machine import LEAST, Machine, of_another
-from eha_monitor.balances.model import Model, Term, of_judged
+from eha_monitor.balances.model import LOAD, Model, Term, of_judged
 from eha_monitor.balances.named import size_of
 from eha_monitor.balances.parameters import Stiffness, stiffness_of
 from eha_monitor.balances.policy import POLICY
@@ -77,6 +77,7 @@ def against(machine: Machine, recordings: Sequence[Recording], settings: Setting
     judged = replace(judged, balances=tuple(replace(one, changed=tuple(
         moved for moved in one.changed if not _as_stiff(moved, machine, stiffness)))
         for one in judged.balances))
+    judged = replace(judged, balances=tuple(_at_zero(one) for one in judged.balances))
     moved = judged.changed
     verdict = ("consistent" if judged.belongs else "mismatch" if judged.explained
                else "unexplained")
@@ -158,6 +159,27 @@ def shares_of(changes: Sequence[Change], balances: Iterable[str]) -> dict[str, f
     """Return each balance's share of the changes."""
     return {balance: sum(one.balance == balance for one in changes) / len(changes)
             for balance in balances}
+
+
+def _at_zero(one: JudgedBalance) -> JudgedBalance:
+    """Return a balance whose constant load is that at x = 0, see :func:`model.relaxed_at_zero`.
+
+    The column of a spring that the config does not have is relaxed where the motion begins.
+    """
+    spring = next((c for c in one.table.candidates if c.name == "k"
+                   and c.effect == "spring_load" and not c.configured), None)
+    if spring is None:
+        return one
+    x_0 = dict(spring.shape)["x_0"]
+    before, now = (weights.get("k", 0.0) * x_0 for weights in (one.held, one.now))
+
+    def there(moved: Moved | None) -> Moved | None:
+        if moved is None or moved.candidate.effect != LOAD:
+            return moved
+        return replace(moved, machine=moved.machine - before, here=moved.here - now)
+
+    return replace(one, changed=tuple(map(there, one.changed)), small=there(one.small),
+                   nearest=tuple(map(there, one.nearest)))
 
 
 def _model(one: JudgedBalance) -> Model:
@@ -245,7 +267,8 @@ def _with_oil(machine: Machine, judged: Judged, stiffness: Stiffness, rig: Rig) 
     before = flow.now.get("C_h", 0.0)
     here = before + rig.volume_1 * (stiffness.value - machine.stiffness.value)
     after = left_unseen(flow.table, flow.now | {"C_h": here}, flow.free)
-    if flow in judged.loud and not explains(flow.after, after, flow.usual, machine.policy):
+    if flow in judged.loud and (flow.leaves_much(after) or not explains(
+            flow.after, after, flow.usual, machine.policy)):
         return None
     return replace(judged, balances=tuple(
         replace(one, now=one.now | {"C_h": here}, after=after)

@@ -26,6 +26,7 @@ from eha_monitor.indicators.laws import viscosity_factor
 from eha_monitor.physics import signals as s
 from eha_monitor.physics.contributions import circuit_of, new_memory
 from eha_monitor.physics.parameters import theta_of
+from eha_monitor.quantity import share
 from eha_monitor.recordings.grid import filled
 from eha_monitor.recordings.recording import Recording, between_stops, sample_of, sampled_rows
 from eha_monitor.settings.monitor import Settings
@@ -40,6 +41,9 @@ GRID, COARSE = 32, 4  # points in a period of the band; each so-many-th of them 
 BRIDGED = 0.1  # of a period of the motion's band: a gap that a straight line bridges
 APART = 0.5  # periods of the band over which its low-pass mixes a sample with its neighbours
 SPARSE = 0.4  # samples in a period of the band, inverted: fewer do not hold it
+NO_MOTION = "nothing moves in it"
+FEWEST = 16  # compared samples that go steadily one way
+HUNTS = 0.1  # of the motion: less of it steady is a drive that hunts, and shows no friction
 STANDING = 0.02  # of the top speed: below it dry friction takes any value
 DEAD = 0.02  # s: a value that does not change for longer while others do ...
 JUMPED = 5.0  # ... times the usual largest step away from what comes before or after
@@ -150,12 +154,22 @@ class Course:
     @property
     def still(self) -> str:
         """What does not move in it, in words; empty where the piston does, and its force."""
-        if not self.moving.any():
-            return "nothing moves in it"
+        steady = int(self.moving.sum())
+        if not steady and np.ptp(self.x[self.good]) <= TRAVEL * self.sensors["x"]:
+            return NO_MOTION
+        fast = int(np.sum(self.good & (np.abs(self.v) >= STANDING * self.speed)))
+        if steady < HUNTS * fast:
+            turns = np.sum(self.v[1:] * self.v[:-1] < 0.0) / (len(self) * self.step)
+            return (f"it reverses {turns:.2g} times a second (a drive that hunts?): too little "
+                    f"of its motion, {share(steady / fast, 2)}, goes steadily one way")
+        if self.compared(self.moving).sum() < FEWEST:
+            return f"it goes steadily one way for {steady * self.step:.2g} s only: too little"
         pressures = [one for one in (self.p1, self.p2) if one is not None]
         if pressures and not any(_changes(one[self.good]) for one in pressures):
-            return "the pressures do not change in it, while the piston moves"
-        return "" if _changes(self.force[self.good]) else "the force does not change in it"
+            return "the pressures keep one value, to the last digit"
+        return "" if _changes(self.force[self.good]) else (
+            "the force on it keeps one value, to the last digit: it is not measured, or changes "
+            "by less than a digit")
 
     @property
     def has_flow(self) -> bool:
@@ -428,15 +442,15 @@ def known_of(course: Course, rig: Rig, theta: np.ndarray, active: np.ndarray
     pump = (rig.pump_displacement or 0.0) * c[:, s.SPEED]
     crossing = 0.5 * (rig.leakage - rig.makeup_conductance) * (course.p1 - course.p2)
     left, stroke = [], []
-    for sign, share, p, rate, volume, own, more, into in (
+    for sign, ratio, p, rate, volume, own, more, into in (
             (1.0, 1.0, course.p1, course.rate_1, s.VOLUME_1, rig.volume_1, s.COMPLIANCE_1,
              s.FLOW_1),
             (-1.0, course.ratio, course.p2, course.rate_2, s.VOLUME_2, rig.volume_2,
              s.COMPLIANCE_2, s.FLOW_2)):
         soft = ((own or 0.0) + c[:, volume]) * c[:, more]
         makeup = rig.makeup_conductance * (p - rig.charge_pressure)
-        left.append(sign / share * (c[:, into] - sign * crossing - makeup - soft * rate))
-        stroke.append(sign / share * c[:, volume] * rate)
+        left.append(sign / ratio * (c[:, into] - sign * crossing - makeup - soft * rate))
+        stroke.append(sign / ratio * c[:, volume] * rate)
     return known | {"flow": pump + np.stack(left), "stroke": np.stack(stroke)}
 
 

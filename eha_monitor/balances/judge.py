@@ -110,8 +110,11 @@ class JudgedBalance:
 
         A leak that grew tenfold leaves more of a rough law as well, but a twentieth of what came.
         """
-        return self.foreign and bool(self.changed) and self.after > max(
-            self.usual, MUCH * self.error)
+        return bool(self.changed) and self.leaves_much(self.after)
+
+    def leaves_much(self, after: float) -> bool:
+        """Tell whether what then is left is much, where no numbers describe the recording."""
+        return self.foreign and after > max(self.usual, MUCH * self.error)
 
     @property
     def settled(self) -> bool:

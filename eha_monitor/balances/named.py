@@ -7,6 +7,7 @@ import numpy as np
 
 from eha_monitor import ties
 from eha_monitor.balances.candidates import DRY, SIDES
+from eha_monitor.balances.machine import OTHER
 from eha_monitor.balances.model import Model, Term
 from eha_monitor.balances.policy import Policy
 from eha_monitor.mismatch.diagnosis import (
@@ -24,7 +25,7 @@ from eha_monitor.settings.rig import Rig
 FORCE_OF_SENSORS = ("pressure_offset", "pressure_scale")  # they make a constant force as well
 LINEAR = ("B", "B_t", "D_p", "C_h", "k_d")  # what the config's own model has; its oil warms
 TWINS = {"mass": ("pressure_delay",), "pump_displacement": ("pump_flow_gain",),
-         "position_gain": ("drive_gain",)}
+         "position_gain": ("drive_gain", "command_delay")}
 DRY_SYMBOLS = {"F_c", "F_d"}
 LARGEST = 0.998  # quantile of a term that is its size
 TOLD = 0.01  # a spread between recordings that is a smaller share is none to speak of
@@ -263,8 +264,9 @@ def within_tolerance(term: Term, rig: Rig, policy: Policy) -> bool:
     if found is None:
         return False
     key, configured, now = found
+    # A share of the larger one: what is surely less is so however little is left of it.
     return abs(np.log(now.value / configured)) <= policy.varied * float(np.hypot(
-        rig.tolerance.log_spread(key), now.stddev / now.value))
+        rig.tolerance.log_spread(key), now.stddev / max(now.value, configured)))
 
 
 def _leaks_more(term: Term, policy: Policy) -> bool:
@@ -281,7 +283,8 @@ def wrong_numbers(model: Model, rig: Rig, policy: Policy) -> list[RigFinding]:
         if one is None or not np.isfinite(term.stddev) or within_tolerance(term, rig, policy):
             continue
         key, configured, now = one
-        if key == "leakage" or (key == "mass" and (term.value > 0.0 or not term.named)):
+        if key == "leakage" or (key == "mass" and (term.value > 0.0 or not (
+                term.named or configured > OTHER * (now.value + policy.varied * now.stddev)))):
             continue  # more of either is an effect of the catalogue
         found.append(RigFinding(key, configured, now, policy.certain,
                                 beside_config(key, configured, now), TWINS.get(key, ())))

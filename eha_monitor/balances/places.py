@@ -210,7 +210,7 @@ def worst_intervals(parts: Sequence[Part], weight: Sequence[np.ndarray]
     merged: list[list[float]] = []
     for i in sorted(chosen):
         start, stop, value = rows[i]
-        if merged and start - merged[-1][1] < 0.5 * GRAIN:
+        if merged and abs(start - merged[-1][1]) < 0.5 * GRAIN:  # of one recording
             merged[-1][1], merged[-1][2] = stop, max(merged[-1][2], value)
         else:
             merged.append([start, stop, value])

@@ -30,6 +30,7 @@ from eha_monitor.balances.table import Table, tables_of
 from eha_monitor.settings.rig import Rig
 
 SOFT = 1e-3  # of the other half's products, so that a half without motion leaves nothing open
+ROUNDING = 1e-9  # of what is explained: no fit leaves less
 MOST_TERMS = 10  # a choice that has not ended by then is none
 
 
@@ -334,7 +335,7 @@ class Recordings:
         chance, whole = [], []
         for i, (table, own) in enumerate(zip(self.tables, reduced, strict=True)):
             each[i] = signed_solution(own[1:, 1:], own[1:, 0], *bounds)
-            left = max(own[0, 0] - own[1:, 0] @ each[i], 0.0)
+            left = max(own[0, 0] - own[1:, 0] @ each[i], ROUNDING * own[0, 0])
             scale = max(left / max(table.effective - len(names), 1.0), 1e-300)
             stddev[i] = np.sqrt(np.diag(inverse_of(own[1:, 1:])) * scale)
             # What no longer record takes away (form_and_doubts) is of each recording its own.

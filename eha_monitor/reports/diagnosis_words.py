@@ -331,7 +331,7 @@ def sentence(text: str) -> str:
     if not text:
         return ""
     word = re.split(r"[\s:,]", text, maxsplit=1)[0]
-    name = not text[0].isascii() or word in CHANNELS or re.search(r"[\d_/]", word)
+    name = not text[0].isascii() or word in CHANNELS or re.search(r"[\d_/]|\.\w", word)
     first = text[0] if name else text[0].upper()
     return first + text[1:] + ("" if text[-1] in ".!?" else ".")
 
