@@ -69,6 +69,7 @@ class Source(Counts):
     name : for messages, e.g. ``joint_states (piston)``.
     channels : names of the values of each sample, in order.
     held : slow channels: the last value counts, no row waits for the next one.
+    by_receipt : its messages have no stamp, that of their receipt stands for it.
     last_ns : stamp of the last sample taken; None before the first.
     heard_s : when the last sample came, on the caller's clock.
     jumped : samples dropped as doubtful jumps.
@@ -80,6 +81,7 @@ class Source(Counts):
     name: str
     channels: tuple[str, ...]
     held: bool = False
+    by_receipt: bool = False
     last_ns: int | None = None
     heard_s: float = -math.inf
     jumped: int = 0

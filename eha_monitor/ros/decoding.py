@@ -133,6 +133,11 @@ class TopicReader:
         self._wants = [stream.wants(self._named) for stream in streams]
         self._layouts: list[Layout] = []
         self.zero_stamps = 0
+        self._by_receipt(not self._stamped)
+
+    def _by_receipt(self, unstamped: bool) -> None:
+        for stream in self._streams:
+            stream.entry.source.by_receipt = unstamped
 
     def read(self, messages: Sequence[bytes], came: np.ndarray, now_ns: np.ndarray
              ) -> list[Batch]:
@@ -202,6 +207,7 @@ class TopicReader:
             kept[zero[0]] = self.zero_stamps > 0
             self.zero_stamps += len(zero)
             stamps[zero] = now_ns[zero]
+            self._by_receipt(self.zero_stamps > 1)
         return kept
 
     def _values(self, stream: Stream, wants: Sequence[Want], groups: list, n: int
