@@ -142,6 +142,9 @@ def _apart(machine: Machine, there: Sequence[str], settings: Settings,
                          f"the {listed(own)} there and the {listed(there)} in the recording only")
     found = [f"the {one} is not compared: {name if one in there else 'the recording'} lacks its "
              "signals" for one in sorted({*own} ^ {*there})]
+    if machine.rig and rig.name and machine.rig != rig.name:
+        found.append(f"{name}: the machine of {machine.rig}, where the config is of {rig.name} "
+                     "(rig.name): check whether it is this machine")
     for one in machine.balances:
         for p in one.parameters:
             value, configured, words = {

@@ -1,5 +1,6 @@
 """The next motion: what it is expected to tell between the structures still in the running."""
 
+from collections import Counter
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -48,6 +49,11 @@ ALIKE = 0.02  # expected probability within which the shorter motion is better
 WORTH = 0.05  # expected probability: a motion that promises less tells nothing
 WAIT = 0.3  # s at rest before a motion and after it
 PACE = 0.5  # of the limits of speed and acceleration on the way to where a motion begins
+RUNS_AWAY = 2.0  # times a limit in a motion that was made small enough for it
+FAR_OFF = 1e3  # times a limit: no motion of any size that limits allow
+UNSTABLE = ("the model of the config: with B or the effective bulk modulus a few times off, as "
+            "far as is known, its position loop runs away (check position_gain, or diagnose a "
+            "recording and take that config)")
 ATTEMPTS = 5  # at a size that keeps the limits
 SMALLEST = 0.02  # of a motion's size: below, there is nothing left of it
 SEEN = 10.0  # standard deviations of the position's noise: a smaller motion shows nothing
@@ -315,13 +321,17 @@ class Planner:
     bounds : complete limits; ``source`` names the config in errors.
     wanted : probability at which a structure stands.
     choose : among what is allowed; :func:`most_decisive` by default.
+
+    Attributes
+    ----------
+    binding : how often which limit left no size of a motion.
     """
 
     def __init__(self, settings: Settings, bounds: Bounds, source: str, wanted: float = 0.95,
                  choose: Choice | None = None):
         rig = settings.rig
         self.settings, self.bounds, self.source = settings, bounds, source
-        self.wanted = wanted
+        self.wanted, self.binding = wanted, Counter()
         self.choose = choose or most_decisive
         per_speed = rig.area_1 / rig.pump_displacement
         self.limits = Limits(0.5 * (bounds.lower + bounds.upper),
@@ -349,7 +359,8 @@ class Planner:
                              f"{100 * SMALLEST:.0f} % of the travel, and of "
                              f"{quantity(SEEN * experiment.noise[0], 'm', 2)} "
                              f"({SEEN:g} times the noise of the position), within "
-                             f"{b.motion_time:g} s from x = {position:g} m, expected wider ones")
+                             f"{b.motion_time:g} s from x = {position:g} m; what binds is "
+                             f"{self.binding.most_common(1)[0][0]}")
         return found
 
     @cached_property
@@ -396,30 +407,39 @@ class Planner:
         It must by the models of the likely structures, with B and beta_e off by what is not known.
         """
         dt, share, least = contest.experiment.dt, 1.0, SEEN * contest.experiment.noise[0]
+        binding = "travel"
         recorded = contest.here is not None
         models = [fit for one in contest.structures[:SAFE_UNDER if recorded else 1]
                   for fit in around(one.fit, recorded)]
         for _ in range(ATTEMPTS):
             if any(one.amplitude < least for one in moving(motion)):
-                return None
+                return self._without(binding)
             x_d = self.led(demand_of(motion, dt), position, dt)
             if len(x_d) * dt > self.bounds.motion_time:
-                return None
+                return self._without("motion_time")
             blanks = [demanded(contest.experiment, fit, motion.name, x_d) for fit in models]
             shown = [free_run(blank, blank.stretches[0], fit)
                      for blank, fit in zip(blanks, models, strict=True)]
             peaks = [self.peaks(one, x_d, dt) for one in shown]
             most = {key: max(one[key] for one in peaks) for key in peaks[0]}
-            worst = max(self.used(most).values())
+            used = self.used(most)
+            worst = max(used.values())
             if worst <= 1.0:
                 return Planned(motion, x_d, peaks=most, shown=shown[0])
-            if not np.isfinite(worst) or share < SMALLEST:
-                return None
+            if not np.isfinite(worst):
+                return self._without(UNSTABLE)
+            binding = UNSTABLE if worst > FAR_OFF else max(used, key=used.__getitem__)
+            if share < SMALLEST:
+                return self._without(UNSTABLE if worst > RUNS_AWAY else binding)
             share /= worst
             motion = replace(motion, segments={
                 name: resized(self.limits, segment, 0.98 / worst, True)
                 for name, segment in motion.segments.items()})
-        return None
+        return self._without(binding)
+
+    def _without(self, binding: str) -> None:
+        """Note what leaves no size of a motion."""
+        self.binding[binding] += 1
 
     def led(self, x_d: np.ndarray, position: float, dt: float) -> np.ndarray:
         """Return a demand with the way to it from a position, and rest before and after it."""

@@ -15,16 +15,17 @@ from eha_monitor.ros.keeper import Keeper
 from eha_monitor.settings import Settings
 
 BEGINS = "the model does not fit"
-EVERY_S = 600.0  # at least; what changes slowly moves nothing
+EVERY_S = 120.0  # at least: a leak, or what changes slowly, moves nothing
+LATEST_S = 60.0  # of rows at most, where others' diagnoses were waited for: of one state
 
 
 class Comparison:
     """Compares the last rows with the machine, in another process, where something has moved.
 
     Something has moved where the model begins or ceases to fit, or B or beta_e differ by more
-    than ``MOVED`` from what they were at the comparison before.  Whether that is a change is for
-    the spread of the healthy recordings to say; a change without a name must also show in a
-    recording twice as long.
+    than ``MOVED`` from what they were at the comparison before; and every ``EVERY_S`` anyway.
+    Whether that is a change is for the spread of the healthy recordings to say; a change without
+    a name must also show in a recording twice as long.
 
     Parameters
     ----------
@@ -93,7 +94,8 @@ class Comparison:
         if self._due is not None and now_s - self._due[0] >= enough:
             TURN.take(self)
             self._saving, self._last_s, self._compared = True, now_s, self._due
-            self._keeper.save_since(self._due[1], self._saved)
+            latest = self._log_ns(now_s - max(LATEST_S, enough))
+            self._keeper.save_since(max(self._due[1], latest), self._saved)
 
     def _saved(self, bag: Saved) -> None:
         if not self._saving:

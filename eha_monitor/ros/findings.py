@@ -5,7 +5,13 @@ import time
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
-from eha_monitor.estimation.results import Consistency, Event, ModelStatus, ParameterEstimate
+from eha_monitor.estimation.results import (
+    Consistency,
+    Event,
+    ModelStatus,
+    ParameterEstimate,
+    Taint,
+)
 from eha_monitor.health.alarms import ADVICE, WATCHED, AlarmBoard
 from eha_monitor.health.judge import Finding
 from eha_monitor.health.overload import LatencyMeter, Overload, ProcessorMeter
@@ -74,7 +80,7 @@ def all_findings(settings: Settings, board: AlarmBoard,
         found.append(alarm_finding(alarm, values))
     for stage, watched in STAGES.items():
         found.append(_stage(stage, parameters.get(watched.symbol), consistency.get(stage),
-                            events.get(stage), data))
+                            events.get(stage), data, model.tainted.get(watched.symbol)))
     level = "STALE" if data.stopped else _MODEL_LEVEL.get(model.status, "STALE")
     found.append(Finding("model", level, data.stopped or model.message or model.status,
                          {"status": model.status}))
@@ -97,6 +103,7 @@ def levels(board: AlarmBoard, parameters: dict[str, ParameterEstimate], model: M
     overload = data.overload.level if data.overload is not None else None
     return (board.levels, tuple(estimate.status for estimate in parameters.values()),
             frozenset(data.unsettled), model.status, bool(model.mismatches),
+            frozenset(name for name, taint in model.tainted.items() if not taint.testing),
             data.stopped is None, data.refused, bool(data.problems), data.unsaved is None,
             bool(data.implausible), overload)
 
@@ -159,7 +166,7 @@ def _last(event: Event | None) -> dict[str, float | str]:
 
 
 def _stage(stage: str, estimate: ParameterEstimate | None, consistency: Consistency | None,
-           event: Event | None, data: DataState) -> Finding:
+           event: Event | None, data: DataState, taint: Taint | None) -> Finding:
     name = f"stage_{stage}"
     if estimate is None:
         return Finding(name, "STALE", data.stopped or "no data yet")
@@ -172,7 +179,11 @@ def _stage(stage: str, estimate: ParameterEstimate | None, consistency: Consiste
     level = "STALE" if data.stopped else ESTIMATE_LEVELS[estimate.status]
     if level == "ERROR" and estimate.name in data.unsettled:
         level = "WARN"
-    return Finding(name, level, data.stopped or estimate.message or estimate.status, values)
+    message = estimate.message or estimate.status
+    values["in_doubt"] = int(taint is not None and not taint.testing)
+    if values["in_doubt"] and level == "OK":
+        level, message = "WARN", f"in doubt, {taint.reason}: {message}"
+    return Finding(name, level, data.stopped or message, values)
 
 
 def unfed(symbol: str, seen: Mapping[str, int], row_ns: int, inputs: Sequence[TopicInput],
