@@ -41,6 +41,14 @@ def test_a_load_beside_a_spring_is_that_at_zero_in_a_comparison_too():
     assert load.now.value == pytest.approx(200.0, abs=2.0)
 
 
+def test_a_load_that_differs_over_recordings_is_in_the_config_as_in_the_first():
+    """The monitor said that it adopts 801 N, and put the mean of two bags in force, 449 N."""
+    found = answered([spring(load) for load in (200.0, 60.0)], settings())
+    (load,) = [effect for effect in found.effects if effect.name == "constant_load"]
+    assert "over the recordings" in load.statement
+    assert found.config_effects["constant_load"]["F_0"] == pytest.approx(200.0, abs=2.0)
+
+
 def test_how_large_a_spring_may_be_does_not_depend_on_where_its_column_begins():
     """It begins where the motion does: on a short stroke its load there is twice what is measured.
 

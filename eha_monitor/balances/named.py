@@ -21,6 +21,7 @@ from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.quantity import quantity, share, side_by_side, to_digits, with_uncertainty
 from eha_monitor.settings.monitor import Settings
 from eha_monitor.settings.rig import Rig
+from eha_monitor.words import listed
 
 FORCE_OF_SENSORS = ("pressure_offset", "pressure_scale")  # they make a constant force as well
 LINEAR = ("B", "B_t", "D_p", "C_h", "k_d")  # what the config's own model has; its oil warms
@@ -104,11 +105,10 @@ def _effect(name: str, terms: Sequence[Term], model: Model, rig: Rig, held: Mapp
             value = Value(whole, float(np.hypot(
                 stddev, error_of_area(rig, model.balance) * whole)), value.unit)
         values[symbol] = value
-    had = []
-    for symbol in values.keys() & held.keys():
-        value = values[symbol]
-        had.append(f"the config has {quantity(held[symbol], value.unit, 4)}")
-        values[symbol] = replace(value, value=value.value + held[symbol])
+    had = [symbol for symbol in values if symbol in held]
+    told = listed([f"{f'{one} = ' if len(had) > 1 else ''}"
+                   f"{quantity(held[one], values[one].unit, 4)}" for one in had])
+    values |= {one: replace(values[one], value=values[one].value + held[one]) for one in had}
     numbers = numbers_of(name, terms, values)
     whole = entry is not None and not any(term.each for term in terms) and all(
         p.name in values for p in entry.sizes if np.isfinite(p.neutral))
@@ -125,7 +125,8 @@ def _effect(name: str, terms: Sequence[Term], model: Model, rig: Rig, held: Mapp
     if name == "constant_load" and rig.area_1 and rig.area_2:
         rivals += tuple(r for r in FORCE_OF_SENSORS if r not in rivals)
     return NamedEffect(
-        name, model.balance, "; ".join([said, *had, *spread]), values,
+        name, model.balance, "; ".join([said, *([f"the config has {told}"] if had else []),
+                                        *spread]), values,
         max(sum(term.gained for term in terms), 0.0), rivals,
         entry.equation if entry else "", entry.rig_check if entry else "",
         size_of(terms, model), probability=max(
@@ -188,7 +189,8 @@ def config_effects(models: Sequence[Model], effects: Sequence[NamedEffect], sett
                    ) -> dict[str, dict[str, float]]:
     """Return the ``effects:`` section: what the config had, and what of the catalogue is named.
 
-    What the catalogue does not hold, or not that way round, has no place there.
+    What the catalogue does not hold, or not that way round, has no place there.  A load that
+    differs over the recordings is that of the first one, the newest where the monitor asks.
     """
     found = {name: dict(values) for name, values in settings.effects.items()}
     for effect in effects:
@@ -196,13 +198,16 @@ def config_effects(models: Sequence[Model], effects: Sequence[NamedEffect], sett
             one for one in models if one.balance == effect.balance)
         if entry is None:
             continue
-        if effect.name in found:
-            found[effect.name] |= {symbol: value.value for symbol, value in
-                                   effect.parameters.items() if symbol in found[effect.name]}
-            continue
         terms = [t for t in model.named if t.candidate.effect in (effect.name, *entry.contains)]
-        numbers = numbers_of(effect.name, terms, effect.parameters)
-        if all(p.name not in effect.parameters or numbers[p.name] >= p.lower
+        first = {t.candidate.symbol: t.each[0] - t.value for t in terms if t.each}
+        values = {symbol: replace(value, value=value.value + first.get(symbol, 0.0))
+                  for symbol, value in effect.parameters.items()}
+        if effect.name in found:
+            found[effect.name] |= {symbol: value.value for symbol, value in values.items()
+                                   if symbol in found[effect.name]}
+            continue
+        numbers = numbers_of(effect.name, terms, values)
+        if all(p.name not in values or numbers[p.name] >= p.lower
                for p in entry.parameters):
             found[effect.name] = {p.name: float(min(max(numbers[p.name], p.lower), p.upper))
                                   for p in entry.parameters}
