@@ -224,3 +224,11 @@ def test_a_damping_that_becomes_negative_dates_the_mismatch_to_what_showed_it():
     assert not found.consistent and found.first_time_s == pytest.approx(24.8)
     assert "no friction drives" in found.message
     assert stage_verdict(ONE, parameter, e, np.ones(len(e)), Window(1e-3), changes[:0]).consistent
+
+
+def test_what_knows_less_than_the_prior_shows_no_change():
+    """A leap of 1e9 priors in the compliance left a covariance that was no longer positive."""
+    for information, seen in ((1e-6, False), (1e4, True)):
+        w = new_supervision(False)
+        w[SCORE], w[INFORMATION] = 1e3 * information**0.5, information
+        assert (look(w, 1.0, 1e-3, 4.0)[1] > 0.0) is seen

@@ -122,6 +122,8 @@ def look(w, value, variance, prior_variance):
         total_information += w[HEAD + HISTORY + i]
         if (i & (i + 1)) != 0:  # windows of 1, 2, 4, ... blocks
             continue
+        if total_information * prior_variance < 1.0:
+            continue  # what knows less of it than the prior shows no change, and its leap is wild
         spread = total_information * (1.0 + total_information * variance) * ratio
         delta = total_score / total_information
         if w[FROZEN] == 0.0 and total_score * total_score > DETECTION * DETECTION * spread and abs(
