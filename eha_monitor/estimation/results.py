@@ -48,7 +48,9 @@ class ParameterEstimate:
 
     @property
     def shown(self) -> str:
-        """The value as people read it, ``600.0 ± 0.2 MPa``."""
+        """The value as people read it, ``600.0 ± 0.2 MPa``; a dash where that is no number."""
+        if self.status == "not_excited" and self.stddev > abs(self.value):
+            return "—"
         return with_uncertainty(self.value, self.stddev, self.unit)
 
 
@@ -373,9 +375,11 @@ def judge_parameter(name: str, value: float, stddev: float, unit: str, prior: fl
     shown = with_uncertainty(value, stddev, unit)
     if stddev > CONVERGED * abs(value) or GAINED * stddev > prior_stddev:
         before = with_uncertainty(prior, prior_stddev, unit)
+        known = f"{shown}, prior {before}" if stddev < prior_stddev else (
+            f"no more is known of it than before, {before}")  # 30 ± 190 GPa is no number
         return ParameterEstimate(
             name, value, stddev, unit, "not_excited",
-            f"too little motion to identify {symbol}: {shown}, prior {before}")
+            f"too little motion to identify {symbol}: {known}")
     told = share(max(stddev / abs(value) if value else 0.0, FLOOR), 2)
     return ParameterEstimate(name, value, stddev, unit, "converged",
                              f"{symbol} = {shown}, identified to ± {told}")
