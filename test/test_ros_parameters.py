@@ -84,7 +84,7 @@ def test_a_limit_that_is_not_set_says_what_it_is(monitored):
     about = shell.describe(HIGH)
     assert about.description == "limits on the effective bulk modulus, Pa: above this: WARN [Pa]"
     assert about.additional_constraints == (
-        "a number from -1e+18 to 1e+18 Pa; .nan: no limit; expected low_error <= low_warn <= "
+        "a number from 0 to 1e+18 Pa; .nan: no limit; expected low_error <= low_warn <= "
         "high_warn <= high_error")
     assert "[N·s/m]" in shell.describe(LOW).description
 
