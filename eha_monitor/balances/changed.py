@@ -378,7 +378,9 @@ def _in_share(moved: Moved, change: Change) -> str:
     if change.unit == moved.candidate.unit and POLICY.sure(healthy.value, healthy.stddev):
         more = (change.now.value - healthy.value) / abs(healthy.value)
         doubt = np.hypot(moved.apart, more * healthy.stddev) / abs(healthy.value)
-        by = f", {'+' if more > 0.0 else ''}{with_uncertainty(100.0 * more, 100.0 * doubt, '%')}"
+        if abs(more) < 1.0:  # of a correction that is nearly nil, 320 % say nothing
+            by = (f", {'+' if more > 0.0 else ''}"
+                  f"{with_uncertainty(100.0 * more, 100.0 * doubt, '%')}")
     rivals = [effect_words(name) for name in change.indistinguishable_from]
     return change.statement + by + (
         f" ({listed(rivals, 'or')} would explain it as well)" if rivals else "")

@@ -17,6 +17,7 @@ from rclpy.node import Node
 
 from eha_monitor.errors import InputError
 from eha_monitor.estimation.results import LiveSnapshot, ModelStatus, ParameterEstimate
+from eha_monitor.health.alarms import ADVICE
 from eha_monitor.health.judge import Finding
 from eha_monitor.live.diagnosing import (
     TURN,
@@ -33,6 +34,7 @@ from eha_monitor.live.diagnosing import (
 from eha_monitor.live.ingest import Columns
 from eha_monitor.recordings.ring import Saved, plain_name
 from eha_monitor.ros.comparison import Comparison
+from eha_monitor.ros.findings import MISMATCH
 from eha_monitor.ros.keeper import Keeper, LateTrigger
 from eha_monitor.settings import Settings
 
@@ -106,7 +108,7 @@ class SelfDiagnosis:
         """The model fits: what comes next is another mismatch."""
         self._waits = self._waits if self._waits == SERVICE else ""
         self._since_s: float | None = None
-        self._tries, self._explained = 0, False
+        self._tries, self._explained, self._said = 0, False, ""
         # Bags of this mismatch that are of one state, as far as is known, and where each ends, ns.
         self._same: list[tuple[Path | None, int]] = []
 
@@ -120,6 +122,18 @@ class SelfDiagnosis:
     def known(self, snapshot: LiveSnapshot) -> LiveSnapshot:
         """Return a snapshot that is no surer than the diagnosis whose model is in force."""
         return snapshot if self.adopted is None else self.adopted.widened(snapshot, self.in_force)
+
+    def beside(self, found: list[Finding]) -> list[Finding]:
+        """Return findings in which a mismatch that stands has what its diagnosis says of it.
+
+        A filter sees more than the sensors' noise on any real machine: that the balances are
+        explained all the same is what tells a healthy one.
+        """
+        if not self._said:
+            return found
+        return [one if one.name != MISMATCH or one.level != "WARN" else replace(
+            one, message=f"{one.message.removesuffix(ADVICE)}its diagnosis: {self._said}",
+            values=one.values | {"diagnosed": self._said.partition(":")[0]}) for one in found]
 
     def configure(self, settings: Settings) -> Settings:
         """Take other thresholds; returns the settings in force."""
@@ -284,6 +298,7 @@ class SelfDiagnosis:
             self._tell(answer.problem, "WARN")
         else:
             self._answer = answer
+            self._said = f"{answer.verdict}: {answer.message}" if self._since_s is not None else ""
             self._explained = self._since_s is not None and self._adoptable() is None
             if answer.completed is None and answer.verdict != "consistent" and self._same:
                 # It may hold the change itself; what comes after it is diagnosed by itself.
