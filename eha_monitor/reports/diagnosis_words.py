@@ -116,6 +116,9 @@ def next_steps(found: Diagnosis, bags: str) -> tuple[str, ...]:
     """
     steps = [f"correct {finding.key} in the config, or find out why it is "
              f"{value_words(finding.found)}" for finding in found.rig_data]
+    if found.verdict == "insufficient_data":
+        steps.append("record strokes both ways at two speeds at least, each steady for a second "
+                     "or so; a drive that hunts needs a lower position gain first")
     steps += [effect.rig_check for effect in found.effects if effect.rig_check][:1]
     if found.references and found.changes:
         steps += [step for change in found.changes if (step := _look_for(change))]
