@@ -189,12 +189,12 @@ def still(recordings: Sequence[Recording], courses: Sequence[Course], baselines:
     """Return the answer for recordings in which nothing moves."""
     moved = max(float(np.ptp(course.x)) for course in courses)
     noise = max(course.sensors["x"] for course in courses)
-    why = next((course.still for course in courses if course.still != NO_MOTION), None)
+    why = next((f", but {one.still}" for one in courses if one.still != NO_MOTION),
+               f" only, with {quantity(noise, 'm', 2)} of noise: too little motion to identify "
+               "anything")
     return Diagnosis(
         tuple(one.source for one in recordings), "insufficient_data",
-        f"the piston moves by {quantity(moved, 'm', 2)}, but {why}" if why else
-        f"the piston moves by {quantity(moved, 'm', 2)} only, with {quantity(noise, 'm', 2)} of "
-        "noise: too little motion to identify anything",
+        f"the piston moves by {quantity(moved, 'm', 2)}{why}",
         Location(dict.fromkeys(WHERE, 0.0), "", ()), (), {}, {}, "held_out", {},
         baselines=baselines, duration_s=sum(one.duration for one in recordings),
         wall_s=time.perf_counter() - started)

@@ -42,7 +42,7 @@ BRIDGED = 0.1  # of a period of the motion's band: a gap that a straight line br
 APART = 0.5  # periods of the band over which its low-pass mixes a sample with its neighbours
 SPARSE = 0.4  # samples in a period of the band, inverted: fewer do not hold it
 NO_MOTION = "nothing moves in it"
-FEWEST = 16  # compared samples that go steadily one way
+STEADY = 16  # compared samples that go steadily one way
 HUNTS = 0.1  # of the motion: less of it steady is a drive that hunts, and shows no friction
 STANDING = 0.02  # of the top speed: below it dry friction takes any value
 DEAD = 0.02  # s: a value that does not change for longer while others do ...
@@ -151,7 +151,7 @@ class Course:
         """Whether the piston moves in it, and the force with it."""
         return not self.still
 
-    @property
+    @cached_property
     def still(self) -> str:
         """What does not move in it, in words; empty where the piston does, and its force."""
         steady = int(self.moving.sum())
@@ -162,7 +162,7 @@ class Course:
             turns = np.sum(self.v[1:] * self.v[:-1] < 0.0) / (len(self) * self.step)
             return (f"it reverses {turns:.2g} times a second (a drive that hunts?): too little "
                     f"of its motion, {share(steady / fast, 2)}, goes steadily one way")
-        if self.compared(self.moving).sum() < FEWEST:
+        if self.compared(self.moving).sum() < STEADY:
             return f"it goes steadily one way for {steady * self.step:.2g} s only: too little"
         pressures = [one for one in (self.p1, self.p2) if one is not None]
         if pressures and not any(_changes(one[self.good]) for one in pressures):
@@ -415,8 +415,8 @@ def courses_of(recordings: Sequence[Recording], settings: Settings
     lines = [f"left out: {problem}" for problem in problems]
     moves = [course.shows for course in courses]
     if any(moves):  # at rest a seal holds whatever load there is
-        lines += [f"left out: {one.source}: {course.still}"
-                  for one, course in zip(kept, courses, strict=True) if course.still]
+        lines += [f"left out: {course.source}: {course.still}" for course in courses
+                  if course.still]
         kept, courses = list(compress(kept, moves)), list(compress(courses, moves))
     return kept, courses, tuple(lines)
 

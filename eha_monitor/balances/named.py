@@ -106,8 +106,9 @@ def _effect(name: str, terms: Sequence[Term], model: Model, rig: Rig, held: Mapp
                 stddev, error_of_area(rig, model.balance) * whole)), value.unit)
         values[symbol] = value
     had = [symbol for symbol in values if symbol in held]
-    told = listed([f"{f'{one} = ' if len(had) > 1 else ''}"
-                   f"{quantity(held[one], values[one].unit, 4)}" for one in had])
+    configured = [quantity(held[one], values[one].unit, 4) for one in had]
+    if len(had) > 1:
+        configured = [f"{one} = {text}" for one, text in zip(had, configured, strict=True)]
     values |= {one: replace(values[one], value=values[one].value + held[one]) for one in had}
     numbers = numbers_of(name, terms, values)
     whole = entry is not None and not any(term.each for term in terms) and all(
@@ -125,8 +126,8 @@ def _effect(name: str, terms: Sequence[Term], model: Model, rig: Rig, held: Mapp
     if name == "constant_load" and rig.area_1 and rig.area_2:
         rivals += tuple(r for r in FORCE_OF_SENSORS if r not in rivals)
     return NamedEffect(
-        name, model.balance, "; ".join([said, *([f"the config has {told}"] if had else []),
-                                        *spread]), values,
+        name, model.balance, "; ".join([
+            said, *([f"the config has {listed(configured)}"] if had else []), *spread]), values,
         max(sum(term.gained for term in terms), 0.0), rivals,
         entry.equation if entry else "", entry.rig_check if entry else "",
         size_of(terms, model), probability=max(

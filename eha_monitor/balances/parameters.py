@@ -33,7 +33,14 @@ from eha_monitor.balances.course import (
 )
 from eha_monitor.balances.together import of_one_machine, pooled
 from eha_monitor.errors import InputError
-from eha_monitor.estimation.results import LOOK_S, ONE, TWO, Beside, ParameterEstimate
+from eha_monitor.estimation.results import (
+    EVERY_S,
+    LOOK_S,
+    ONE,
+    TWO,
+    Beside,
+    ParameterEstimate,
+)
 from eha_monitor.estimation.rig_model import force_of
 from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.recordings.recording import Recording, rows_of, sample_of
@@ -41,7 +48,7 @@ from eha_monitor.settings.monitor import Settings
 from eha_monitor.settings.rig import Rig
 
 CLEAR = 5.0  # times the noise of a regressor: its noise then draws the parameter by 4 % at most
-LEAST_S, EVERY_S = 5.0, 2.0  # of rows that a first look needs, and how often one is made
+LEAST_S = 5.0  # of rows that a first look needs
 MOST = 200  # looks at one recording
 WIDE = 1.0  # of the top speed, over which friction may fall as well, beside ``SLOW``
 BANDS = BAND, 4.0 * BAND  # Hz: the next one where a motion is too quick for the one before

@@ -17,7 +17,7 @@ from functools import cached_property
 import numpy as np
 
 from eha_monitor.balances.candidates import Scale, flow_candidates, founded
-from eha_monitor.balances.course import CHAMBER_1, IN_TURN, Course, oil_of
+from eha_monitor.balances.course import CHAMBER_1, IN_TURN, ROUNDING, Course, oil_of
 from eha_monitor.balances.least_squares import (
     independent,
     inverse_of,
@@ -30,7 +30,6 @@ from eha_monitor.balances.table import Table, tables_of
 from eha_monitor.settings.rig import Rig
 
 SOFT = 1e-3  # of the other half's products, so that a half without motion leaves nothing open
-ROUNDING = 1e-9  # of what is explained: no fit leaves less
 MOST_TERMS = 10  # a choice that has not ended by then is none
 
 
@@ -335,6 +334,7 @@ class Recordings:
         chance, whole = [], []
         for i, (table, own) in enumerate(zip(self.tables, reduced, strict=True)):
             each[i] = signed_solution(own[1:, 1:], own[1:, 0], *bounds)
+            # As few samples as terms are fitted to the last bit, and would weigh infinitely.
             left = max(own[0, 0] - own[1:, 0] @ each[i], ROUNDING * own[0, 0])
             scale = max(left / max(table.effective - len(names), 1.0), 1e-300)
             stddev[i] = np.sqrt(np.diag(inverse_of(own[1:, 1:])) * scale)

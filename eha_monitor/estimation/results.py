@@ -17,6 +17,7 @@ GAINED = 2.0  # so many times sharper than the prior, or the motion has told not
 NEGATIVE = 3.0  # standard deviations below zero that no physical coefficient can be
 LARGEST_NIS = 1.5  # of the joint filter; above it its standard deviations grow, and are in doubt
 LOOK_S = 20.0  # of rows that least squares look at: for so long a look may stand
+EVERY_S = 2.0  # between two looks, at least
 NEAR_S = 1e-6  # s: two times are the same
 HUGE = 100.0  # times the prior and its sigma: no longer a coefficient of this rig
 BALANCE = {"one": "force balance or a sensor", "two": "flow balance, drive or a sensor",

@@ -15,9 +15,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from eha_monitor.balances.parameters import EVERY_S
 from eha_monitor.estimation.model_watch import LONGEST_TRIAL_S, Trial
-from eha_monitor.estimation.results import Beside, ParameterEstimate, Taint, stands, units_of
+from eha_monitor.estimation.results import (
+    EVERY_S,
+    Beside,
+    ParameterEstimate,
+    Taint,
+    stands,
+    units_of,
+)
 from eha_monitor.health.judge import (
     NO_LIMIT,
     NOT_JUDGED,

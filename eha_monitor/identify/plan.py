@@ -426,11 +426,10 @@ class Planner:
             worst = max(used.values())
             if worst <= 1.0:
                 return Planned(motion, x_d, peaks=most, shown=shown[0])
-            if not np.isfinite(worst):
-                return self._without(UNSTABLE)
-            binding = UNSTABLE if worst > FAR_OFF else max(used, key=used.__getitem__)
-            if share < SMALLEST:
-                return self._without(UNSTABLE if worst > RUNS_AWAY else binding)
+            runs_away = not worst <= (RUNS_AWAY if share < SMALLEST else FAR_OFF)
+            binding = UNSTABLE if runs_away else max(used, key=used.__getitem__)
+            if not np.isfinite(worst) or share < SMALLEST:
+                return self._without(binding)
             share /= worst
             motion = replace(motion, segments={
                 name: resized(self.limits, segment, 0.98 / worst, True)

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from eha_monitor.balances.parameters import EVERY_S, parameters_of
+from eha_monitor.balances.parameters import parameters_of
 from eha_monitor.estimation.consistency import AROUND, Window, judge, stage_verdict
 from eha_monitor.estimation.discretisation import C_PLACE
 from eha_monitor.estimation.hold_choice import AUTO, CONTINUOUS, SAMPLED, resolved, with_hold
@@ -20,6 +20,7 @@ from eha_monitor.estimation.inputs import StageInputs
 from eha_monitor.estimation.model_watch import StageWatch, Trial, model_status, tainted_by
 from eha_monitor.estimation.results import (
     CONVERGED,
+    EVERY_S,
     LOOK_S,
     STAGES,
     Beside,

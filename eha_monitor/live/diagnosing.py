@@ -221,6 +221,11 @@ class Answer:
         return self.tree.get("verdict", "failed")
 
     @property
+    def words(self) -> str:
+        """Verdict and message in one line."""
+        return f"{self.verdict}: {self.message}"
+
+    @property
     def message(self) -> str:
         """What it says in one line, and the numbers of the rig that it knows better."""
         return "; ".join([self.tree.get("message", ""), *(

@@ -367,12 +367,12 @@ class FaultWatch:
             past.best, past.was_late = behind, False
             return
         growth = statistics.median(past.growth)
-        ahead = (past.best + growth * elapsed - behind) / max(1.0 - growth, 0.01)
+        usual, rate = past.best + growth * elapsed, max(1.0 - growth, 0.01)
+        past.best = min(usual, behind)
+        ahead, excess = (usual - behind) / rate, (behind - past.best) / rate  # in our own time
         if min(ahead, steps.max(initial=0.0)) > AHEAD_S:  # what waited catches up step by step
             self.note(f"ahead {source.name}", now, f"{source.name}: stamps jump ahead by "
                       f"{ahead:.2f} s of the time in which they came (a clock that was set)")
-        past.best = min(past.best + growth * elapsed, behind)
-        excess = (behind - past.best) / max(1.0 - growth, 0.01)  # of stamps, in our own time
         late = excess > LATE_S
         if late and past.was_late:  # one may be the scheduler's
             self.note(f"late {source.name}", now, f"{source.name}: messages come "

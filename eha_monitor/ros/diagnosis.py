@@ -17,7 +17,6 @@ from rclpy.node import Node
 
 from eha_monitor.errors import InputError
 from eha_monitor.estimation.results import LiveSnapshot, ModelStatus, ParameterEstimate
-from eha_monitor.health.alarms import ADVICE
 from eha_monitor.health.judge import Finding
 from eha_monitor.live.diagnosing import (
     TURN,
@@ -34,7 +33,6 @@ from eha_monitor.live.diagnosing import (
 from eha_monitor.live.ingest import Columns
 from eha_monitor.recordings.ring import Saved, plain_name
 from eha_monitor.ros.comparison import Comparison
-from eha_monitor.ros.findings import MISMATCH
 from eha_monitor.ros.keeper import Keeper, LateTrigger
 from eha_monitor.settings import Settings
 
@@ -58,6 +56,11 @@ class SelfDiagnosis:
     publish : takes what ``monitor/diagnosis`` is to say.
     candidate : makes an estimator with other settings, from the rows since a time in s.
     exchange : puts an estimator with its settings in place of the running one.
+
+    Attributes
+    ----------
+    adopted : the model in force in place of the config's, None where there is none.
+    of_mismatch : what the last diagnosis says of the mismatch that stands; None before one.
     """
 
     def __init__(self, node: Node, settings: Settings, keeper: Keeper,
@@ -108,9 +111,10 @@ class SelfDiagnosis:
         """The model fits: what comes next is another mismatch."""
         self._waits = self._waits if self._waits == SERVICE else ""
         self._since_s: float | None = None
-        self._tries, self._explained, self._said = 0, False, ""
-        # Bags of this mismatch that are of one state, as far as is known, and where each ends, ns.
-        self._same: list[tuple[Path | None, int]] = []
+        self._tries, self._explained = 0, False
+        self.of_mismatch: Answer | None = None
+        self._same: list[Path] = []  # bags of this mismatch, of one state as far as is known
+        self._saved_ns: int | None = None  # where the last of them ends
 
     # ---- what the monitor tells -----------------------------------------------------------------
 
@@ -122,18 +126,6 @@ class SelfDiagnosis:
     def known(self, snapshot: LiveSnapshot) -> LiveSnapshot:
         """Return a snapshot that is no surer than the diagnosis whose model is in force."""
         return snapshot if self.adopted is None else self.adopted.widened(snapshot, self.in_force)
-
-    def beside(self, found: list[Finding]) -> list[Finding]:
-        """Return findings in which a mismatch that stands has what its diagnosis says of it.
-
-        A filter sees more than the sensors' noise on any real machine: that the balances are
-        explained all the same is what tells a healthy one.
-        """
-        if not self._said:
-            return found
-        return [one if one.name != MISMATCH or one.level != "WARN" else replace(
-            one, message=f"{one.message.removesuffix(ADVICE)}its diagnosis: {self._said}",
-            values=one.values | {"diagnosed": self._said.partition(":")[0]}) for one in found]
 
     def configure(self, settings: Settings) -> Settings:
         """Take other thresholds; returns the settings in force."""
@@ -252,7 +244,7 @@ class SelfDiagnosis:
         TURN.take(self)
         self._by, self._saving, self._waits = by, True, ""
         self._tries += 1
-        since_ns = self._same[-1][1] + 1 if self._same else (
+        since_ns = self._saved_ns + 1 if self._saved_ns is not None else (
             0 if self._since_s is None else self._log_ns(self._since_s))
         self._tell(f"diagnosis begun {_BY[by]}")
         self._keeper.save_since(since_ns, self._saved)
@@ -268,9 +260,10 @@ class SelfDiagnosis:
         if bag.problem is not None:
             self._ended(Answer(bag.problem, bag.path, (bag.path,)))
             return
-        bags = [bag.path, *(path for path, _ in reversed(self._same) if path and path.is_dir())]
+        bags = [bag.path, *(path for path in reversed(self._same) if path.is_dir())]
         if self._since_s is not None:
-            self._same.append((bag.path, bag.last_ns))
+            self._same.append(bag.path)
+            self._saved_ns = bag.last_ns
         try:
             self._running = Diagnosing(bags[:1 + EARLIER], self._settings,
                                        bag.path.with_name(f"{bag.path.name}_diagnosis"))
@@ -298,17 +291,17 @@ class SelfDiagnosis:
             self._tell(answer.problem, "WARN")
         else:
             self._answer = answer
-            self._said = f"{answer.verdict}: {answer.message}" if self._since_s is not None else ""
-            self._explained = self._since_s is not None and self._adoptable() is None
-            if answer.completed is None and answer.verdict != "consistent" and self._same:
-                # It may hold the change itself; what comes after it is diagnosed by itself.
-                self._same = [(None, self._same[-1][1])]
+            self.of_mismatch = None if self._since_s is None else answer
+            self._explained = self.of_mismatch is not None and self._adoptable() is None
+            if answer.completed is None and answer.verdict != "consistent":
+                # They may hold the change itself; what comes after is diagnosed by itself.
+                self._same.clear()
             self._tell(f"diagnosed {', '.join(map(str, answer.bags))} in {answer.wall_s:.0f} s: "
-                       f"{answer.verdict}: {answer.message}")
+                       f"{answer.words}")
         service = self._services["diagnose"]
         service.take_up()
         service.answer(not answer.problem, answer.problem or (
-            f"{answer.verdict}: {answer.message}; {answer.folder}"))
+            f"{answer.words}; {answer.folder}"))
         if (not answer.problem and self._settings.diagnosis.adopt == AUTOMATIC
                 and self._coming is None):
             self._consider(answer)

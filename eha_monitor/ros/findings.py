@@ -5,16 +5,11 @@ import time
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
-from eha_monitor.estimation.results import (
-    Consistency,
-    Event,
-    ModelStatus,
-    ParameterEstimate,
-    Taint,
-)
+from eha_monitor.estimation.results import Consistency, Event, ModelStatus, ParameterEstimate
 from eha_monitor.health.alarms import ADVICE, WATCHED, AlarmBoard
 from eha_monitor.health.judge import Finding
 from eha_monitor.health.overload import LatencyMeter, Overload, ProcessorMeter
+from eha_monitor.live.diagnosing import Answer
 from eha_monitor.live.faults import FaultWatch
 from eha_monitor.live.rows import RowAligner
 from eha_monitor.ros.messages import ESTIMATE_LEVELS, alarm_finding
@@ -59,13 +54,15 @@ class DataState:
 def all_findings(settings: Settings, board: AlarmBoard,
                  parameters: dict[str, ParameterEstimate],
                  consistency: dict[str, Consistency | None], model: ModelStatus,
-                 events: dict[str, Event], data: DataState) -> list[Finding]:
+                 events: dict[str, Event], data: DataState, diagnosed: Answer | None = None
+                 ) -> list[Finding]:
     """Return the alarms, the two stages, the model, its mismatch and the data, in this order.
 
     Parameters
     ----------
     parameters, consistency : by symbol and by stage; empty before the first row.
     events : the last event of each stage, ``one`` and ``two``, and of the ``monitor``.
+    diagnosed : what the monitor's own diagnosis says of the mismatch that stands, if it has one.
     """
     found = []
     for alarm in board.alarms:
@@ -80,11 +77,11 @@ def all_findings(settings: Settings, board: AlarmBoard,
         found.append(alarm_finding(alarm, values))
     for stage, watched in STAGES.items():
         found.append(_stage(stage, parameters.get(watched.symbol), consistency.get(stage),
-                            events.get(stage), data, model.tainted.get(watched.symbol)))
+                            events.get(stage), data, model))
     level = "STALE" if data.stopped else _MODEL_LEVEL.get(model.status, "STALE")
     found.append(Finding("model", level, data.stopped or model.message or model.status,
                          {"status": model.status}))
-    found.append(_mismatch(model, consistency, data))
+    found.append(_mismatch(model, consistency, data, diagnosed))
     wrong = data.problems or data.unsaved or data.implausible
     level = ("STALE" if data.stopped else "ERROR" if data.refused else "WARN" if wrong else "OK")
     if data.overload is not None and not data.refused:  # why data may seem to have stopped
@@ -129,8 +126,12 @@ def _doubts(model: ModelStatus, symbol: str) -> dict[str, float | int | str]:
 
 
 def _mismatch(model: ModelStatus, consistency: dict[str, Consistency | None],
-              data: DataState) -> Finding:
-    """Return the test of the model as a finding of its own; plain numbers, for plotting."""
+              data: DataState, diagnosed: Answer | None) -> Finding:
+    """Return the test of the model as a finding of its own; plain numbers, for plotting.
+
+    A filter sees more than the sensors' noise on any real machine: that the balances are
+    explained all the same, as its diagnosis says, is what tells a healthy one.
+    """
     values: dict[str, float | int | str] = {"mismatch": int(bool(model.mismatches))}
     for stage in STAGES:
         verdict = consistency.get(stage)
@@ -155,8 +156,11 @@ def _mismatch(model: ModelStatus, consistency: dict[str, Consistency | None],
                "since_s": float(first.since_s)}
     doubted = [w.words for w in WATCHED if values[f"{w.section}_tainted"]]
     in_doubt = f"; in doubt: {' and '.join(doubted)}" if doubted else ""
+    what = ADVICE
+    if diagnosed is not None:
+        values["diagnosed"], what = diagnosed.verdict, f"its diagnosis: {diagnosed.words}"
     return Finding(MISMATCH, "WARN", f"the model does not fit since t = {first.since_s:.1f} s: "
-                   f"{model.message}{in_doubt}; {ADVICE}", values)
+                   f"{model.message}{in_doubt}; {what}", values)
 
 
 def _last(event: Event | None) -> dict[str, float | str]:
@@ -166,7 +170,7 @@ def _last(event: Event | None) -> dict[str, float | str]:
 
 
 def _stage(stage: str, estimate: ParameterEstimate | None, consistency: Consistency | None,
-           event: Event | None, data: DataState, taint: Taint | None) -> Finding:
+           event: Event | None, data: DataState, model: ModelStatus) -> Finding:
     name = f"stage_{stage}"
     if estimate is None:
         return Finding(name, "STALE", data.stopped or "no data yet")
@@ -180,9 +184,10 @@ def _stage(stage: str, estimate: ParameterEstimate | None, consistency: Consiste
     if level == "ERROR" and estimate.name in data.unsettled:
         level = "WARN"
     message = estimate.message or estimate.status
-    values["in_doubt"] = int(taint is not None and not taint.testing)
+    values["in_doubt"] = _doubts(model, estimate.name)["tainted"]
     if values["in_doubt"] and level == "OK":
-        level, message = "WARN", f"in doubt, {taint.reason}: {message}"
+        level = "WARN"
+        message = f"in doubt, {model.tainted[estimate.name].reason}: {message}"
     return Finding(name, level, data.stopped or message, values)
 
 

@@ -443,8 +443,9 @@ class Monitor:
         self._levels = now
         found = all_findings(self.settings, self.board, parameters,
                              snapshot.consistency if snapshot else {},
-                             self._model, self._events, self.data)
-        self._outputs.health(with_bags(self.diagnosis.beside(found), self.keeper.bags))
+                             self._model, self._events, self.data,
+                             self.diagnosis.of_mismatch)
+        self._outputs.health(with_bags(found, self.keeper.bags))
 
     def summary(self) -> str:
         """Return what was processed, lost and how late, in one line."""
