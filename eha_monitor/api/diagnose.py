@@ -21,13 +21,12 @@ from eha_monitor.api.read import (
 )
 from eha_monitor.api.recording import Recording
 from eha_monitor.archive.find import find_bags, is_archive
-from eha_monitor.balances.changed import against
 from eha_monitor.balances.machine import load
 from eha_monitor.compiled import load_runtime
 from eha_monitor.errors import InputError
 from eha_monitor.indicators.assemble import of_diagnosis
 from eha_monitor.indicators.indicator import Indicator
-from eha_monitor.mismatch.compared import compared
+from eha_monitor.mismatch.compared import beside, compared
 from eha_monitor.mismatch.diagnose import diagnose as run
 from eha_monitor.mismatch.diagnosis import Change
 from eha_monitor.mismatch.diagnosis import Diagnosis as Found
@@ -144,7 +143,7 @@ def diagnose(recordings: Several, config: Config | str | os.PathLike | dict | No
 
         with rig_motion(config.rig.motion):
             if known is not None:
-                found = against(known, read, config.settings, known.sources)
+                found = beside(known, read, config.settings)
             elif references:
                 further("comparing", 0.5)
                 found = compared(read, references, config.settings)

@@ -11,9 +11,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from eha_monitor.balances.change_point import since_change
 from eha_monitor.balances.changed import WORDS, against, shares_of
 from eha_monitor.balances.course import courses_of
-from eha_monitor.balances.machine import healthy_machine_of
+from eha_monitor.balances.machine import Machine, healthy_machine_of
 from eha_monitor.balances.policy import POLICY
 from eha_monitor.balances.scatter import limit_of
 from eha_monitor.breakdown import computing
@@ -52,6 +53,7 @@ def compared(recordings: Sequence[Recording], references: Sequence[Recording],
     """
     started = time.perf_counter()
     with computing(*(one.source for one in (*recordings, *references))):
+        recordings, points = since_change(recordings, settings)
         moving, courses, lines = courses_of(references, settings)
         found = against(healthy_machine_of(courses, settings), recordings, settings,
                         tuple(one.source for one in moving))
@@ -59,7 +61,20 @@ def compared(recordings: Sequence[Recording], references: Sequence[Recording],
             found = _by_filter(found, recordings, moving, settings)
     left_out = tuple(f"reference {line}, so it says nothing of the healthy machine"
                      for line in lines)
-    return replace(found, wall_s=time.perf_counter() - started, advice=left_out + found.advice)
+    return replace(found, wall_s=time.perf_counter() - started,
+                   advice=left_out + found.advice).since(points)
+
+
+def beside(machine: Machine, recordings: Sequence[Recording], settings: Settings) -> Diagnosis:
+    """Say what has changed in recordings against a machine that others have shown, as saved.
+
+    Raises
+    ------
+    InputError
+        If one side has no force balance.
+    """
+    recordings, points = since_change(recordings, settings)
+    return against(machine, recordings, settings, machine.sources).since(points)
 
 
 def _by_filter(found: Diagnosis, recordings: Sequence[Recording], references: Sequence[Recording],

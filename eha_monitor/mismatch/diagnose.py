@@ -18,6 +18,7 @@ from eha_monitor.balances.answer import (
     force_left,
 )
 from eha_monitor.balances.baseline import baseline
+from eha_monitor.balances.change_point import since_change
 from eha_monitor.balances.course import TRAVEL
 from eha_monitor.balances.policy import POLICY, Policy
 from eha_monitor.breakdown import computing
@@ -101,7 +102,7 @@ def diagnose(recordings: list[Recording], settings: Settings, held_out: Recordin
 
     Parameters
     ----------
-    recordings : of one rig, explained together.
+    recordings : of one rig, explained together, each in the state in which it ends.
     settings : nominal config; its effects count as known.
     held_out : recording on which the fit is shown; without it the last fifth of every 5 s of
         the recordings is kept aside and enters no fit.
@@ -117,8 +118,9 @@ def diagnose(recordings: list[Recording], settings: Settings, held_out: Recordin
         calculation.
     """
     with computing(*(recording.source for recording in recordings)):
+        recordings, points = since_change(recordings, settings)
         return _diagnosed(recordings, settings, held_out, progress or (lambda text, share: None),
-                          hypothesis, without, vary).diagnosis
+                          hypothesis, without, vary).diagnosis.since(points)
 
 
 class Answered(NamedTuple):

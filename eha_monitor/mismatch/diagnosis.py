@@ -1,7 +1,7 @@
 """What a diagnosis says; immutable records, made by :mod:`name`, :mod:`locate`, :mod:`show`."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -229,6 +229,32 @@ class Piece:
 
 
 @dataclass(frozen=True)
+class ChangePoint:
+    """When and how a number of the machine changed while a recording ran.
+
+    Attributes
+    ----------
+    bag : the recording.
+    before_s, since_s : until and from when it is of one state, s from the recording's start.
+    what, symbol, balance : effect, parameter, and where it acts.
+    before, now : the number in either state.
+    removed : share of the balance's error on unseen parts that goes with it.
+    statement : one sentence with both.
+    """
+
+    bag: str
+    before_s: float
+    since_s: float
+    what: str
+    symbol: str
+    balance: str
+    before: Value
+    now: Value
+    removed: float
+    statement: str
+
+
+@dataclass(frozen=True)
 class Change:
     """A number that is not what healthy recordings of the machine have.
 
@@ -325,6 +351,7 @@ class Diagnosis:
     machine : what several recordings of one machine show together, or the machine that the
         recording was judged against.
     policy : the numbers that decided names.
+    change_points : where a number changed while a recording ran; all else is of the state since.
     """
 
     bags: tuple[str, ...]
@@ -362,6 +389,14 @@ class Diagnosis:
     machine: Machine | None = None
     policy: dict[str, float] = field(default_factory=dict)
     remarks: tuple[str, ...] = ()
+    change_points: tuple[ChangePoint, ...] = ()
+
+    def since(self, points: tuple[ChangePoint, ...]) -> "Diagnosis":
+        """Return it as the answer for what came after some changes, which its message names."""
+        if not points:
+            return self
+        said = "; ".join(one.statement for one in points)
+        return replace(self, change_points=points, message=f"{said}; since then {self.message}")
 
 
 NOTABLE = 0.02  # relative change of a health parameter that is worth a sentence

@@ -66,7 +66,7 @@ def head_of(found: Diagnosis) -> tuple[str, str]:
     """Return the colour and the first words of a verdict."""
     if found.references and found.verdict in AGAINST_HEALTHY:
         return AGAINST_HEALTHY[found.verdict]
-    if found.pieces:
+    if found.pieces or (found.change_points and found.verdict == "consistent"):
         return CHANGED
     if found.learned:
         return LEARNED

@@ -17,6 +17,7 @@ from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 
 import numpy as np
+from scipy.optimize import lsq_linear
 
 from eha_monitor.estimation.rig_model import VALVES
 from eha_monitor.estimation.sensors import true_pressure
@@ -289,21 +290,20 @@ def step_of(f: Free, theta: np.ndarray, log_step: float) -> tuple[np.ndarray, fl
 
 
 def step_within(matrix: np.ndarray, gradient: np.ndarray, bounds: np.ndarray) -> np.ndarray:
-    """Solve ``matrix @ step = gradient`` for a step within ``bounds`` (k, 2), (k,).
+    """Return the step s within ``bounds`` (k, 2) with the largest g's - s'Ms/2, (k,).
 
-    What would cross a bound stops there; the others are solved for again.
+    With M = R'R that is the least |R s - R'^-1 g| within them: bounded-variable least squares
+    (Stark and Parker 1995).  To stop what crosses a bound and solve for the rest is not the same:
+    in a valley all may cross that need not.
     """
-    step, on = np.zeros(len(gradient)), np.ones(len(gradient), dtype=bool)
-    while on.any():
-        right = gradient[on] - matrix[np.ix_(on, ~on)] @ step[~on]
-        step[on] = np.linalg.solve(matrix[np.ix_(on, on)], right)
-        within = np.clip(step, bounds[:, 0], bounds[:, 1])
-        out = on & (step != within)
-        if not out.any():
-            break
-        step[out] = within[out]
-        on &= ~out
-    return step
+    inside = np.linalg.solve(matrix, gradient)
+    low, high = np.minimum(bounds[:, 0], 0.0), np.maximum(bounds[:, 1], 0.0)
+    if np.all((inside >= low) & (inside <= high)):
+        return inside
+    root = np.linalg.cholesky(matrix).T
+    wide = np.maximum(high, low + np.finfo(float).tiny)
+    found = lsq_linear(root, np.linalg.solve(root.T, gradient), (low, wide), "bvls", tol=1e-12)
+    return np.clip(found.x, low, high)
 
 
 def remade(experiment: Experiment, fit: Fit, **changes) -> Fit:

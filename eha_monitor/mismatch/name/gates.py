@@ -1,6 +1,7 @@
 """Checks that cost next to nothing and that every named set has to pass before it is an answer.
 
 bound   no parameter of a member stands at the end of its range: the fit wanted to go on
+member  a member's own sizes are surely not absent, beside all that the rig's tolerances leave open
 sign    what must run downhill does: friction takes power from the motion, a leak flows from the
         higher pressure to the lower
 curve   three laws of friction, or of a leak, make one curve that none of them is
@@ -13,6 +14,7 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
+from eha_monitor.balances.least_squares import from_absent
 from eha_monitor.mismatch.data.experiment import Experiment
 from eha_monitor.mismatch.diagnosis import Gate
 from eha_monitor.mismatch.likelihood.along import contributed, filtered_tracks
@@ -21,7 +23,7 @@ from eha_monitor.physics import signals as s
 from eha_monitor.physics.effect import Parameter
 from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.physics.parameters import place_of
-from eha_monitor.quantity import quantity
+from eha_monitor.quantity import quantity, with_uncertainty
 from eha_monitor.words import effect_words, listed
 
 AT_BOUND = 1e-4  # of its prior deviation: how near to the end of its range a fit has arrived
@@ -65,7 +67,8 @@ def failures(experiment: Experiment, fit: Fit) -> list[Gate]:
     ----------
     fit : the set's model, fitted to the end; ``named`` its members.
     """
-    return [*_bounds(fit), *_within(experiment, fit), *_curves(fit), *_signs(experiment, fit)]
+    return [*_bounds(fit), *_members(experiment, fit), *_within(experiment, fit), *_curves(fit),
+            *_signs(experiment, fit)]
 
 
 def _at_ends(fit: Fit) -> Iterator[tuple[Free, Parameter | None]]:
@@ -84,6 +87,32 @@ def _bounds(fit: Fit) -> Iterator[Gate]:
         yield Gate("bound", f.owner, f"{f.name} stands at "
                    f"{quantity(float(fit.theta[f.place]), unit, 3)}, the end of its range: the "
                    "fit is no optimum")
+
+
+def _members(experiment: Experiment, fit: Fit) -> Iterator[Gate]:
+    """Yield members that may as well be absent, by the fit's covariance of their sizes.
+
+    The set without such a member loses half the square of that distance, log units; if a refit
+    loses more, it has stopped short.  A size that is fitted as a logarithm has no such distance.
+    """
+    sure = experiment.policy.sure
+    for name in fit.named if len(fit.covariance) == len(fit.free) else ():
+        entry = CATALOGUE.get(name)
+        sizes = {p.name: p for p in entry.sizes} if entry else {}
+        own = [i for i, f in enumerate(fit.free) if f.owner == name and f.symbol in sizes]
+        if not own or any(fit.free[i].log or not np.isfinite(sizes[fit.free[i].symbol].neutral)
+                          for i in own):
+            continue
+        values = [float(fit.theta[fit.free[i].place]) - sizes[fit.free[i].symbol].neutral
+                  for i in own]
+        apart = from_absent(values, fit.covariance[np.ix_(own, own)], [True] * len(own))
+        if apart < sure:
+            said = listed([with_uncertainty(
+                value + sizes[fit.free[i].symbol].neutral, fit.stddev(fit.free[i].name),
+                sizes[fit.free[i].symbol].unit.replace("*", "·"))
+                for i, value in zip(own, values, strict=True)])
+            yield Gate("member", name, f"{effect_words(name)} of {said} is not "
+                       f"{sure:g} deviations from absent")
 
 
 def _within(experiment: Experiment, fit: Fit) -> Iterator[Gate]:

@@ -44,6 +44,7 @@ from eha_monitor.mismatch.name.refit import (
     at_level,
     entered_at_best,
     from_each_start,
+    joined,
     looked,
     settled,
     unfitted,
@@ -264,7 +265,11 @@ def refit(experiment: Experiment, view: Linearised, chosen: list[Ranked], refits
     own = view.own
     if own is not None and not view.here and chosen[0].evidence < own.evidence + CLOSE:
         # With the same numbers of the rig free as in its rivals: else their evidence differs.
-        refits.add(experiment, view.here, settled(experiment, entered(own), view.slopes), True)
+        made = settled(experiment, entered(own), view.slopes)
+        if made.log_likelihood < view.fit.log_likelihood:  # the guess has led away
+            made = likelier(made, settled(experiment, joined(
+                experiment, view.fit, view.what, own, 0.0), view.slopes))
+        refits.add(experiment, view.here, made, True)
     refits.tried.update((view.here, one.names) for one in chosen)
     looks = [made for made in spread(quick, chosen) if np.isfinite(made.log_likelihood)]
     if not looks:
@@ -325,8 +330,9 @@ def begun(experiment: Experiment, say=lambda text, share: None,
     say("fitting the nominal model", 0.05)
     experiment, first = resolved_nominal(experiment)
     near = leans_less(experiment, first)
-    start = settled(experiment, with_rig(experiment, first if near else needing_least(
-        experiment, first)))
+    if lacks(experiment, first):
+        first = needing_least(experiment, first)
+    start = settled(experiment, with_rig(experiment, first))
     if not near:
         start = likelier(nominal_model(experiment, within=True), start)
     search = Search.at(experiment, start, view=first_view, may_end=may_end, bare=first,
@@ -643,7 +649,8 @@ def without_along(fit: Fit, name: str) -> np.ndarray:
     """Return theta where a fit's other numbers go when a member vanishes, by its covariance.
 
     With the member's sizes m and all others o, o moves by C_om C_mm^-1 (absent - m): the mean of
-    a normal distribution given m.
+    a normal distribution given m.  What is fitted as a logarithm grows in proportion to the step
+    and not by its exponential: a leakage takes over the flow of another.
     """
     entry = CATALOGUE.get(name)
     sizes = {f"{name}.{p.name}": p.neutral for p in entry.sizes if not p.log} if entry else {}
@@ -659,7 +666,8 @@ def without_along(fit: Fit, name: str) -> np.ndarray:
         np.linalg.pinv(fit.covariance[np.ix_(own, own)], hermitian=True) @ (absent - now[own]))
     if np.isfinite(moved).all():
         for i, step in zip(others, moved, strict=True):
-            theta[fit.free[i].place] = fit.free[i].outward(now[i] + step)
+            f = fit.free[i]
+            theta[f.place] = f.outward(now[i] + (np.log1p(step) if f.log and step > 0.0 else step))
     return theta
 
 
@@ -683,8 +691,7 @@ def without_each(experiment: Experiment, refits: Refits) -> None:
                           if refits.parted.get(names) is not refits.fits[names]), None)
            ) is not None:
         refits.parted[names] = refits.fits[names]
-        if len(names) > 1:
-            without(experiment, refits, names)
+        without(experiment, refits, names)
 
 
 def without(experiment: Experiment, refits: Refits, names: Names) -> None:

@@ -22,7 +22,7 @@ from eha_monitor.mismatch.likelihood.fit import (
     with_unknowns,
 )
 from eha_monitor.mismatch.name.naming import Naming
-from eha_monitor.mismatch.name.refit import settled, unfitted
+from eha_monitor.mismatch.name.select import needing_least, nominal_model
 from eha_monitor.mismatch.name.starts import expected_likelihood, needs
 from eha_monitor.mismatch.policy import SearchPolicy
 from eha_monitor.mismatch.show.model import robust, values_of
@@ -65,7 +65,7 @@ def changed_between(experiment: Experiment, recordings: list[Recording], naming:
         experiment, recordings)) if part is not None]
     if len(parts) < 2:
         return None
-    fits = [settled(part, unfitted(part)) for part in parts]  # each on all cores
+    fits = [needing_least(part, nominal_model(part)) for part in parts]  # each on all cores
     if any(needs(part, fit, policy.matters) for part, fit in zip(parts, fits, strict=True)):
         return None  # the nominal model does not explain them piece by piece either
     expected = sum(expected_likelihood(part, fit) for part, fit in zip(parts, fits, strict=True))

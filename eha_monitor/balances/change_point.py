@@ -1,0 +1,248 @@
+"""Whether a recording is of one state, or a number of its balances changed while it ran.
+
+A step of one term's parameter at a time tau, theta_j + delta 1(t > tau), is one more column of a
+balance.  It is fitted on four fifths of the recording's blocks and judged on the rest; the largest
+gain over all terms and times is a change where
+
+- it takes the share ``named`` of the error, as any name does;
+- it gains more, by ``alone``, than a step in the order of speed or of position instead of time:
+  else the motion has changed, and the law that is missing with it;
+- delta is ``varied`` of its deviations from nothing, with what a missing law may look like.
+
+Bai and Perron 1998 for one change by least squares; the judgement on unseen blocks stands in the
+place of their critical values, which hold for independent samples only.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from eha_monitor import ties
+from eha_monitor.balances.alone import alone
+from eha_monitor.balances.candidates import Candidate, Scale, balances_in, candidates_of
+from eha_monitor.balances.course import Course, course_of
+from eha_monitor.balances.least_squares import inverse_of, signed_solution
+from eha_monitor.balances.policy import POLICY, Policy
+from eha_monitor.balances.table import FOLDS, Table, tables_of
+from eha_monitor.balances.together import of_one_machine
+from eha_monitor.errors import InputError
+from eha_monitor.mismatch.diagnosis import ChangePoint, Value
+from eha_monitor.quantity import with_uncertainty
+from eha_monitor.recordings.recording import Recording
+from eha_monitor.settings.monitor import Settings
+from eha_monitor.settings.rig import Rig
+
+PLAIN = ("B", "F_0", "F_c", "D_p", "C_h", "L", "k_d")  # that may change, in the model or not
+BLOCKS = 64  # at most: those of a long recording are joined
+FEWEST, LEAST = 3, 0.15  # blocks on either side, and their share
+SENSORS = {"F_0": "or the zero of a pressure sensor", "D_p": "or a scale of position or speed"}
+BEYOND = " beyond the config's"
+
+
+def since_change(recordings: Sequence[Recording], settings: Settings, policy: Policy = POLICY
+                 ) -> tuple[list[Recording], tuple[ChangePoint, ...]]:
+    """Return recordings in the state in which each of them ends, and where they changed.
+
+    What came before is not a number there: the recording keeps its time.
+    """
+    kept, found = [], []
+    for recording in recordings:
+        point = change_point(recording, settings, policy)
+        if point is not None:
+            found.append(point)
+            before = recording.time < point.since_s
+            recording = replace(recording, channels={
+                name: np.where(before, np.nan, values)
+                for name, values in recording.channels.items()})
+        kept.append(recording)
+    return kept, tuple(found)
+
+
+def change_point(recording: Recording, settings: Settings, policy: Policy = POLICY
+                 ) -> ChangePoint | None:
+    """Return the largest change of a number within a recording, None where it is of one state.
+
+    Of a recording without a force balance nothing is said.
+    """
+    rig = settings.rig
+    try:
+        course = course_of(recording, settings)
+    except InputError:
+        return None
+    if not course.shows:
+        return None
+    (course,) = of_one_machine([course], rig, policy)
+    scale = Scale.of([course])
+    steps = []
+    for balance in balances_in([course], rig):
+        (table,) = tables_of([course], rig, balance, candidates_of(balance, scale, rig), policy)
+        step = _Steps(table, course, policy).largest() if table.n else None
+        if step is not None:
+            steps.append(step)
+    return max(steps, key=lambda step: step.gain).told(rig, policy) if steps else None
+
+
+@dataclass(frozen=True)
+class _Step:
+    """A step of a term's parameter before a block, which takes ``gain`` log units of the error."""
+
+    table: Table
+    edges: np.ndarray
+    candidate: Candidate
+    place: int
+    gain: float
+    before: tuple[float, float]
+    now: tuple[float, float]
+
+    def told(self, rig: Rig, policy: Policy) -> ChangePoint:
+        """Return the record of it."""
+        c, source = self.candidate, self.table.source
+        start, stop = self.edges[self.place - 1], self.edges[self.place + 1]
+        words, unit = c.words.removesuffix(BEYOND), c.unit
+        values = [(max(value + c.configured, 0.0) if c.sign else value + c.configured, stddev)
+                  for value, stddev in (self.before, self.now)]
+        if c.name == "C_h" and rig.volume_1 and all(policy.sure(*pair) for pair in values):
+            words, unit = "effective bulk modulus", "Pa"
+            values = [(rig.volume_1 / value, rig.volume_1 / value**2 * stddev)
+                      for value, stddev in values]
+        before, now = (Value(*pair, unit) for pair in values)
+        doubt = f" ({SENSORS[c.name]})" if c.name in SENSORS else ""
+        return ChangePoint(
+            source, float(start), float(stop), c.effect, c.symbol or c.name, c.balance, before,
+            now, 1.0 - float(np.exp(-self.gain)),
+            f"between {start:.1f} and {stop:.1f} s {words}{doubt} changed from "
+            f"{with_uncertainty(*values[0], unit)} to {with_uncertainty(*values[1], unit)}")
+
+
+class _Steps:
+    """Steps of the terms that one recording carries in one balance.
+
+    Parameters
+    ----------
+    table, course : of the recording.
+    """
+
+    def __init__(self, table: Table, course: Course, policy: Policy):
+        self.table, self.course, self.policy = table, course, policy
+        self.of = {one.name: one for one in table.candidates}
+        self.names = [name.term for name in alone(table, policy).names]
+        self.terms = [name for name in dict.fromkeys((*PLAIN, *self.names))
+                      if name in table.places]
+        group = np.arange(len(table.numbers)) * min(BLOCKS / len(table.numbers), 1.0)
+        self.group = group.astype(int)
+
+    @cached_property
+    def blocks(self) -> np.ndarray:
+        """Products of each block, (b, 1 + k, 1 + k)."""
+        found = np.zeros((int(self.group[-1]) + 1, *self.table.gram.shape))
+        np.add.at(found, self.group, self.table.blocks)
+        return found
+
+    @cached_property
+    def edges(self) -> np.ndarray:
+        """When each block begins, and the last one ends, (b + 1,) s."""
+        table = self.table
+        first = np.flatnonzero(np.diff(self.group, prepend=-1))
+        begins = np.searchsorted(table.block, table.numbers[first]) * table.dt
+        return np.append(begins, len(table.block) * table.dt)
+
+    @property
+    def range(self) -> range:
+        """Blocks before which a change may lie."""
+        least = max(FEWEST, round(LEAST * len(self.blocks)))
+        return range(least, len(self.blocks) - least + 1)
+
+    def largest(self) -> _Step | None:
+        """Return the step that gains most, if it is a change of the machine."""
+        policy = self.policy
+        if not self.range:
+            return None
+        gains = self.gains(np.arange(len(self.blocks)))
+        most = max((gain for row in gains.values() for gain in row), default=0.0)
+        if most <= policy.named:
+            return None
+        others = [max(float(row.max()) for row in self.gains(order).values())
+                  for order in self.orders()]
+        if most <= max(others) + policy.alone:
+            return None
+        # Of what does as well, what every model has: it is the plainest.
+        name = next(name for name in gains if gains[name].max() > most - policy.alone)
+        place = self.range[ties.largest(gains[name])]
+        (before, spread), (delta, chance), (now, later) = self.fitted(name, place)
+        c = self.of[name]
+        if not policy.sure(delta, chance) or (c.sign and c.sign * now < c.least):
+            return None
+        return _Step(self.table, self.edges, c, place, float(gains[name].max()),
+                     (before, spread), (now, later))
+
+    def orders(self) -> Iterator[np.ndarray]:
+        """Yield the blocks in the order of their speed, and of their position; (b,)."""
+        course, table = self.course, self.table
+        whose = self.group[np.searchsorted(table.numbers, table.block[table.good])]
+        count = np.bincount(whose)
+        for values in (np.square(course.compared(course.v)), course.compared(course.x)):
+            mean = np.bincount(whose, values[table.good]) / count
+            yield np.argsort(mean, kind="stable")
+
+    def gains(self, order: np.ndarray) -> dict[str, np.ndarray]:
+        """Return the log units on unseen blocks that steps gain, by term: of each of ``range``.
+
+        Parameters
+        ----------
+        order : (b,) blocks, those with a step last.
+        """
+        fold, found = order // 2 % FOLDS, {}
+        for name in self.terms:
+            places, signs, least = self.beside(name)
+            blocks = self.blocks[order][:, places][:, :, places]
+            parts = [blocks[fold == one].sum(axis=0) for one in range(FOLDS)]
+            whole = sum(_left(sum(parts) - part, part, signs, least) for part in parts)
+            rows = self.blocks[order][:, places[-1]][:, [*places, places[-1]]]
+            later = [np.cumsum(np.where((fold == one)[:, None], rows, 0.0)[::-1], axis=0)[::-1]
+                     for one in range(FOLDS)]
+            gains = []
+            for i in self.range:
+                grams = [_bordered(part, row[i]) for part, row in zip(parts, later, strict=True)]
+                total = sum(grams)
+                left = sum(_left(total - part, part, np.append(signs, 0.0),
+                                 np.append(least, 0.0)) for part in grams)
+                gains.append(0.5 * np.log(whole / left))
+            found[name] = np.array(gains)
+        return found
+
+    def beside(self, name: str) -> tuple[list[int], np.ndarray, np.ndarray]:
+        """Return the columns of the model with a term, that one last, their signs and bounds."""
+        table = self.table
+        own = [table.places[other] for other in self.names if other != name]
+        own.append(table.places[name])
+        return [0, *own], table.signs[own], table.least[own]
+
+    def fitted(self, name: str, place: int) -> tuple[tuple[float, float], ...]:
+        """Return a parameter before a block, its step there, its value since; with deviations."""
+        table, policy = self.table, self.policy
+        places, signs, least = self.beside(name)
+        gram = _bordered(self.blocks.sum(axis=0)[np.ix_(places, places)],
+                         self.blocks[place:].sum(axis=0)[places[-1], [*places, places[-1]]])
+        w = signed_solution(gram[1:, 1:], gram[1:, 0], np.append(signs, 0.0),
+                            np.append(least, 0.0))
+        left = np.append(1.0, -w) @ gram @ np.append(1.0, -w) / max(table.n, 1)
+        form = policy.coherent**2 * max(left - table.floor**2, 0.0) * table.n
+        covariance = (left * table.full[1] + form) * inverse_of(gram[1:, 1:])[-2:, -2:]
+        return tuple((float(one @ w[-2:]), float(np.sqrt(max(one @ covariance @ one, 0.0))))
+                     for one in (np.array([1.0, 0.0]), np.array([0.0, 1.0]), np.ones(2)))
+
+
+def _bordered(gram: np.ndarray, row: np.ndarray) -> np.ndarray:
+    """Return products (k, k) with those of one more column, (k + 1,), its own square last."""
+    found = np.empty((len(gram) + 1,) * 2)
+    found[:-1, :-1] = gram
+    found[-1, :] = found[:, -1] = row
+    return found
+
+
+def _left(fit: np.ndarray, judge: np.ndarray, signs: np.ndarray, least: np.ndarray) -> float:
+    """Return the squares that a fit on some products leaves of others."""
+    mixture = np.append(1.0, -signed_solution(fit[1:, 1:], fit[1:, 0], signs, least))
+    return max(float(mixture @ judge @ mixture), 1e-300)
