@@ -159,6 +159,18 @@ def test_a_quantised_slow_or_resting_sensor_is_not_frozen():
     assert not rig.told and not rig.frozen
 
 
+def test_a_pause_is_no_frozen_demand():
+    """At rest the position covers its own noise, and nothing more: that is no motion."""
+    class Pausing(Rig):
+        def values(self, k):
+            moving, noise = super().values(min(k, 6000)), 2e-5 * math.sin(1e3 * k)
+            return {**moving, "x": (moving["x"][0] + noise, math.nan)}
+
+    rig = Pausing()
+    rig.send(40_000)
+    assert not rig.frozen and not any("x_d has not changed" in one for one in rig.told)
+
+
 def test_a_frozen_channel_is_withheld_until_it_moves():
     rig = Rig()
     rig.send(3000)

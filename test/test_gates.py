@@ -57,7 +57,17 @@ def test_a_size_that_has_gone_to_nothing_is_refused():
     experiment, fit = with_start("coulomb_friction")
     for nothing in (0.0, 3e-77):
         assert gates_of(experiment, moved(fit, coulomb_friction__F_c=nothing)) == {
-            ("bound", "coulomb_friction")}
+            ("bound", "coulomb_friction"), ("member", "coulomb_friction")}
+
+
+@pytest.mark.parametrize("deviations, refused", [(2.5, True), (3.5, False)])
+def test_a_member_that_may_as_well_be_absent_is_refused(deviations, refused):
+    experiment, fit = with_start("coulomb_friction")
+    i = [f.name for f in fit.free].index("coulomb_friction.F_c")
+    covariance = np.eye(len(fit.free)) * 1e-30
+    covariance[i, i] = (40.0 / deviations) ** 2
+    there = replace(moved(fit, coulomb_friction__F_c=40.0), covariance=covariance)
+    assert (("member", "coulomb_friction") in gates_of(experiment, there)) == refused
 
 
 def test_a_shape_without_length_is_no_failure():
@@ -93,7 +103,8 @@ def test_a_leak_that_flows_uphill_is_refused_beyond_its_noise():
     uncertain = np.eye(len(fit.free)) * 1e-30
     i = [f.name for f in fit.free].index("cross_port_leakage.L")
     uncertain[i, i] = (2e-11) ** 2
-    assert gates_of(experiment, replace(negative, covariance=uncertain)) == set()
+    assert gates_of(experiment, replace(negative, covariance=uncertain)) == {
+        ("member", "cross_port_leakage")}  # it may be none at all
 
 
 def test_a_number_of_the_rig_off_by_a_thousand_is_refused():

@@ -145,3 +145,13 @@ def test_no_config_that_comes_with_it_is_refused():
     assert places
     for place in places:
         load_settings(place)
+
+
+def test_what_a_config_leaves_out_of_its_rig_is_not_written_as_told(tmp_path):
+    """A damping that nobody gave was checked as one that somebody knows."""
+    given = settings_from_tree({"rig": {"mass": 12.0}}, "test")
+    place = tmp_path / "config.yaml"
+    place.write_text(annotated(given))
+    found = load_settings(place)
+    assert found == given and "viscous_damping" not in found.rig.model_fields_set
+    assert "# viscous_damping: 600.0" in place.read_text()

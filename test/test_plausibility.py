@@ -25,7 +25,7 @@ from eha_monitor.plausibility.judge import (
     unsigned,
 )
 from eha_monitor.plausibility.moments import derivatives, moments_of
-from eha_monitor.plausibility.relations import ratio
+from eha_monitor.plausibility.relations import charge, ratio
 from eha_monitor.recordings.read import read_recording
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.recordings.write import write_recording
@@ -140,6 +140,14 @@ def test_who_forgot_every_unit_is_told_every_unit():
         ("x", "x_d"), ("p1", "p2"), ("omega",)}
     for word in ("millimetres", "bar", "rpm"):
         assert word in found.message
+
+
+@pytest.mark.parametrize("times, penalty", [(1.0, 0.3), (100.0, None), (0.145, None)])
+def test_the_lower_pressure_comes_down_to_what_feeds_it(times, penalty):
+    recording, config = SECOND
+    reading = reading_of(moments_of(changed(recording, p1=times, p2=times)), config)
+    found = charge(reading)
+    assert found.penalty < penalty if penalty else found.penalty > 2.0
 
 
 def test_gauge_pressures_are_told_and_block_nothing():

@@ -179,6 +179,9 @@ class Diagnosis(Record, Found):
         A model of what has no name, where one holds on unseen data; :class:`LearnedTerm`.
     changes : tuple of Change
         What has changed against the references; see :class:`Change`.
+    change_points : tuple of ChangePoint
+        Where a number changed while a recording ran: bag, before_s, since_s, step, statement.
+        All else is of the state since.
     location : Location
         Where model and recording disagree: balance, regime, intervals_s.
     before : Mapping of str to Value

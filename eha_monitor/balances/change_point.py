@@ -1,13 +1,14 @@
 """Whether a recording is of one state, or a number of its balances changed while it ran.
 
 A step of one term's parameter at a time tau, theta_j + delta 1(t > tau), is one more column of a
-balance.  It is fitted on four fifths of the recording's blocks and judged on the rest; the largest
+balance.  Viscous damping may drift beside it, in t and t^2, as oil warms while a machine runs.
+The step is fitted on four fifths of the recording's blocks and judged on the rest; the largest
 gain over all terms and times is a change where
 
-- it takes the share ``named`` of the error, as any name does;
-- it gains more, by ``alone``, than a step in the order of speed or of position instead of time:
-  else the motion has changed, and the law that is missing with it;
-- delta is ``varied`` of its deviations from nothing, with what a missing law may look like.
+- it gains more, by ``alone``, than what a name owes, and than a step in the order of speed or of
+  position instead of time: else the motion has changed, and the law that is missing with it;
+- delta is as far from nothing as a name owes, by chance: a missing law that looks like a term
+  looks like it before and after.
 
 Bai and Perron 1998 for one change by least squares; the judgement on unseen blocks stands in the
 place of their critical values, which hold for independent samples only.
@@ -23,7 +24,7 @@ from eha_monitor import ties
 from eha_monitor.balances.alone import alone
 from eha_monitor.balances.candidates import Candidate, Scale, balances_in, candidates_of
 from eha_monitor.balances.course import Course, course_of
-from eha_monitor.balances.least_squares import inverse_of, signed_solution
+from eha_monitor.balances.least_squares import independent, inverse_of, signed_solution
 from eha_monitor.balances.policy import POLICY, Policy
 from eha_monitor.balances.table import FOLDS, Table, tables_of
 from eha_monitor.balances.together import of_one_machine
@@ -32,12 +33,12 @@ from eha_monitor.mismatch.diagnosis import ChangePoint, Value
 from eha_monitor.quantity import with_uncertainty
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings.monitor import Settings
-from eha_monitor.settings.rig import Rig
 
 PLAIN = ("B", "F_0", "F_c", "D_p", "C_h", "L", "k_d")  # that may change, in the model or not
 BLOCKS = 64  # at most: those of a long recording are joined
 FEWEST, LEAST = 3, 0.15  # blocks on either side, and their share
 SENSORS = {"F_0": "or the zero of a pressure sensor", "D_p": "or a scale of position or speed"}
+DAMPING, DRIFT = "B", "viscous_drift"
 BEYOND = " beyond the config's"
 
 
@@ -81,39 +82,32 @@ def change_point(recording: Recording, settings: Settings, policy: Policy = POLI
         step = _Steps(table, course, policy).largest() if table.n else None
         if step is not None:
             steps.append(step)
-    return max(steps, key=lambda step: step.gain).told(rig, policy) if steps else None
+    return max(steps, key=lambda step: step.gain).told() if steps else None
 
 
 @dataclass(frozen=True)
 class _Step:
     """A step of a term's parameter before a block, which takes ``gain`` log units of the error."""
 
-    table: Table
-    edges: np.ndarray
+    source: str
     candidate: Candidate
-    place: int
+    start: float
+    stop: float
     gain: float
-    before: tuple[float, float]
-    now: tuple[float, float]
+    value: float
+    stddev: float
 
-    def told(self, rig: Rig, policy: Policy) -> ChangePoint:
+    def told(self) -> ChangePoint:
         """Return the record of it."""
-        c, source = self.candidate, self.table.source
-        start, stop = self.edges[self.place - 1], self.edges[self.place + 1]
-        words, unit = c.words.removesuffix(BEYOND), c.unit
-        values = [(max(value + c.configured, 0.0) if c.sign else value + c.configured, stddev)
-                  for value, stddev in (self.before, self.now)]
-        if c.name == "C_h" and rig.volume_1 and all(policy.sure(*pair) for pair in values):
-            words, unit = "effective bulk modulus", "Pa"
-            values = [(rig.volume_1 / value, rig.volume_1 / value**2 * stddev)
-                      for value, stddev in values]
-        before, now = (Value(*pair, unit) for pair in values)
-        doubt = f" ({SENSORS[c.name]})" if c.name in SENSORS else ""
+        c, words = self.candidate, self.candidate.words.removesuffix(BEYOND)
+        if c.name in SENSORS:
+            words += f" ({SENSORS[c.name]})"
+        way = "rose" if self.value > 0.0 else "fell"
         return ChangePoint(
-            source, float(start), float(stop), c.effect, c.symbol or c.name, c.balance, before,
-            now, 1.0 - float(np.exp(-self.gain)),
-            f"between {start:.1f} and {stop:.1f} s {words}{doubt} changed from "
-            f"{with_uncertainty(*values[0], unit)} to {with_uncertainty(*values[1], unit)}")
+            self.source, self.start, self.stop, c.effect, c.symbol or c.name, c.balance,
+            Value(self.value, self.stddev, c.unit), 1.0 - float(np.exp(-self.gain)),
+            f"between {self.start:.1f} and {self.stop:.1f} s {words} {way} by "
+            f"{with_uncertainty(abs(self.value), self.stddev, c.unit)}")
 
 
 class _Steps:
@@ -129,16 +123,24 @@ class _Steps:
         self.of = {one.name: one for one in table.candidates}
         self.names = [name.term for name in alone(table, policy).names]
         self.terms = [name for name in dict.fromkeys((*PLAIN, *self.names))
-                      if name in table.places]
+                      if name in table.places and self.of[name].effect != DRIFT]
+        self.names = [name for name in self.names if self.of[name].effect != DRIFT]
+        t = np.linspace(-1.0, 1.0, len(table.rows))[:, None]
+        damping = [table.places[name] for name in self.names if name == DAMPING]
+        self.rows = np.hstack([table.rows, *(
+            table.rows[:, [place]] * np.hstack([t, t**2]) for place in damping)])
+        self.drift = list(range(table.rows.shape[1], self.rows.shape[1]))
         group = np.arange(len(table.numbers)) * min(BLOCKS / len(table.numbers), 1.0)
         self.group = group.astype(int)
 
     @cached_property
     def blocks(self) -> np.ndarray:
         """Products of each block, (b, 1 + k, 1 + k)."""
-        found = np.zeros((int(self.group[-1]) + 1, *self.table.gram.shape))
-        np.add.at(found, self.group, self.table.blocks)
-        return found
+        table = self.table
+        rows, block = self.rows[table.good], table.block[table.good]
+        whose = self.group[np.searchsorted(table.numbers, block)]
+        parts = np.split(rows, np.flatnonzero(np.diff(whose)) + 1)
+        return np.array([part.T @ part for part in parts])
 
     @cached_property
     def edges(self) -> np.ndarray:
@@ -161,21 +163,22 @@ class _Steps:
             return None
         gains = self.gains(np.arange(len(self.blocks)))
         most = max((gain for row in gains.values() for gain in row), default=0.0)
-        if most <= policy.named:
-            return None
-        others = [max(float(row.max()) for row in self.gains(order).values())
-                  for order in self.orders()]
-        if most <= max(others) + policy.alone:
+        owed = policy.named + policy.alone
+        for order in self.orders():
+            if most <= owed:
+                return None
+            owed = max(owed, policy.alone + max(
+                float(row.max()) for row in self.gains(order).values()))
+        if most <= owed:
             return None
         # Of what does as well, what every model has: it is the plainest.
         name = next(name for name in gains if gains[name].max() > most - policy.alone)
         place = self.range[ties.largest(gains[name])]
-        (before, spread), (delta, chance), (now, later) = self.fitted(name, place)
-        c = self.of[name]
-        if not policy.sure(delta, chance) or (c.sign and c.sign * now < c.least):
+        value, chance, stddev, least = self.fitted(name, place)
+        if abs(value) < policy.owed * chance or least:
             return None
-        return _Step(self.table, self.edges, c, place, float(gains[name].max()),
-                     (before, spread), (now, later))
+        return _Step(self.table.source, self.of[name], float(self.edges[place - 1]),
+                     float(self.edges[place + 1]), float(gains[name].max()), value, stddev)
 
     def orders(self) -> Iterator[np.ndarray]:
         """Yield the blocks in the order of their speed, and of their position; (b,)."""
@@ -217,21 +220,30 @@ class _Steps:
         table = self.table
         own = [table.places[other] for other in self.names if other != name]
         own.append(table.places[name])
-        return [0, *own], table.signs[own], table.least[own]
+        none = np.zeros(len(self.drift))
+        return ([0, *self.drift, *own], np.append(none, table.signs[own]),
+                np.append(none, table.least[own]))
 
-    def fitted(self, name: str, place: int) -> tuple[tuple[float, float], ...]:
-        """Return a parameter before a block, its step there, its value since; with deviations."""
-        table, policy = self.table, self.policy
+    def fitted(self, name: str, place: int) -> tuple[float, float, float, bool]:
+        """Return a parameter's step before a block, its deviation by chance, and whole.
+
+        The latter holds what a missing law may look like as well.  And whether the parameter is
+        less than nothing since.
+        """
+        table, policy, c = self.table, self.policy, self.of[name]
         places, signs, least = self.beside(name)
         gram = _bordered(self.blocks.sum(axis=0)[np.ix_(places, places)],
                          self.blocks[place:].sum(axis=0)[places[-1], [*places, places[-1]]])
         w = signed_solution(gram[1:, 1:], gram[1:, 0], np.append(signs, 0.0),
                             np.append(least, 0.0))
-        left = np.append(1.0, -w) @ gram @ np.append(1.0, -w) / max(table.n, 1)
-        form = policy.coherent**2 * max(left - table.floor**2, 0.0) * table.n
-        covariance = (left * table.full[1] + form) * inverse_of(gram[1:, 1:])[-2:, -2:]
-        return tuple((float(one @ w[-2:]), float(np.sqrt(max(one @ covariance @ one, 0.0))))
-                     for one in (np.array([1.0, 0.0]), np.array([0.0, 1.0]), np.ones(2)))
+        since = np.searchsorted(table.numbers, table.block) >= np.searchsorted(self.group, place)
+        rest = np.where(table.good, self.rows[:, places] @ np.append(1.0, -w[:-1])
+                        - w[-1] * since * self.rows[:, places[-1]], np.nan)
+        left, inverse = float(np.nanmean(rest**2)), inverse_of(gram[1:, 1:])[-1, -1]
+        chance = left * independent(rest) * inverse
+        form = policy.coherent**2 * max(left - table.floor**2, 0.0) * table.n * inverse
+        return (float(w[-1]), float(np.sqrt(chance)), float(np.sqrt(chance + form)),
+                bool(c.sign) and c.sign * float(w[-2:].sum()) < c.least)
 
 
 def _bordered(gram: np.ndarray, row: np.ndarray) -> np.ndarray:

@@ -41,7 +41,8 @@ REFERENCES = {"x": "x_d", "omega": "x", "p1": "x", "p2": "x", "force": "x", "x_d
 OTHERWISE = {"x": "omega"}
 # A demand may stand still; only if the position goes on and on without it, it has frozen.
 SHORTEST_DEMAND_S = 1.2
-# The reference moves where it covers this part of what it covered in the last seconds.
+# The reference moves where it covers this part of what it usually covers within some seconds: at
+# rest it covers its own noise.
 PART = 0.05
 REMEMBERED_S = 10.0
 # What is usual must have been seen for so long, and is forgotten with this time constant.
@@ -71,6 +72,7 @@ class Stillness:
         self._now_ns = self._looked_ns = 0
         self._ranges: dict[str, tuple[float, float]] = {}
         self._past: dict[str, deque] = {}  # (stamp, lowest, highest) of each look
+        self._widest: dict[str, float] = {}  # that it moved within ``REMEMBERED_S``
 
     def take(self, rows: Rows) -> dict[str, int]:
         """Take rows; return the channels that are frozen, and for how many rows they still are."""
@@ -124,6 +126,9 @@ class Stillness:
             past.append((self._now_ns, low, high))
             while (self._now_ns - past[0][0]) * 1e-9 > REMEMBERED_S:
                 past.popleft()
+            covered = max(high for _, _, high in past) - min(low for _, low, _ in past)
+            self._widest[name] = max(
+                self._widest.get(name, 0.0) * math.exp(-span_s / FORGOTTEN_S), covered)
         self._ranges.clear()
         found = {}
         pressures = "p1" in self.counts and "p2" in self.counts
@@ -159,7 +164,7 @@ class Stillness:
         past = self._past.get(reference)
         if not past or reference in self.frozen:
             return False
-        covered = max(high for _, _, high in past) - min(low for _, low, _ in past)
+        covered = self._widest[reference]
         recent = [(low, high) for at, low, high in past
                   if (self._now_ns - at) * 1e-9 < seconds]
         if not recent or covered <= 0:

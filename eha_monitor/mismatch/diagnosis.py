@@ -237,9 +237,9 @@ class ChangePoint:
     bag : the recording.
     before_s, since_s : until and from when it is of one state, s from the recording's start.
     what, symbol, balance : effect, parameter, and where it acts.
-    before, now : the number in either state.
+    step : by how much, with the standard deviation.
     removed : share of the balance's error on unseen parts that goes with it.
-    statement : one sentence with both.
+    statement : one sentence.
     """
 
     bag: str
@@ -248,8 +248,7 @@ class ChangePoint:
     what: str
     symbol: str
     balance: str
-    before: Value
-    now: Value
+    step: Value
     removed: float
     statement: str
 
@@ -352,6 +351,7 @@ class Diagnosis:
         recording was judged against.
     policy : the numbers that decided names.
     change_points : where a number changed while a recording ran; all else is of the state since.
+    blind : balances that the references leave mostly unexplained, so that a change may be missed.
     """
 
     bags: tuple[str, ...]
@@ -390,6 +390,7 @@ class Diagnosis:
     policy: dict[str, float] = field(default_factory=dict)
     remarks: tuple[str, ...] = ()
     change_points: tuple[ChangePoint, ...] = ()
+    blind: tuple[str, ...] = ()
 
     def since(self, points: tuple[ChangePoint, ...]) -> "Diagnosis":
         """Return it as the answer for what came after some changes, which its message names."""

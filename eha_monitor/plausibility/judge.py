@@ -20,7 +20,7 @@ from eha_monitor.settings.monitor import Settings
 
 ROLES = ("x", "v", "x_d", "omega", "p1", "p2", "force")
 NUMBERS = ("area_1", "area_2", "volume_1", "volume_2", "mass", "viscous_damping",
-           "pump_displacement", "position_gain", "sample_time")
+           "pump_displacement", "position_gain", "charge_pressure", "sample_time")
 DECIDES = 3.0  # log units by which mistakes must be better than none
 RIVAL = 2.0  # log units within which another explanation is reported as well
 BROKEN = 4.0  # log units of wrong signs and sizes from which on a reading is worth explaining

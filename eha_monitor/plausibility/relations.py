@@ -135,7 +135,7 @@ MOST = 12.0  # log units that one relation can say
 # physics of the catalogue at its usual size.
 SPREAD = {"mass": 0.15, "damping": 0.7, "guessed": 2.0, "flow": 0.10, "drive": 0.10,
           "tracking": 0.05, "stroke": 0.15, "speed": 0.05, "size": 0.7, "both_forces": 0.2,
-          "stiffness": 0.3}
+          "stiffness": 0.3, "charge": 0.7}
 # Log units against a recording whose sample time is a power of ten away from the one that
 # somebody wrote.
 OTHER_CLOCK = 6.0
@@ -396,6 +396,21 @@ def stroke(reading: Reading) -> Check | None:
                                            "both chambers hold", f"{times(share)}"))
 
 
+def charge(reading: Reading) -> Check | None:
+    """The emptier chamber comes down to the pressure of what feeds it, more or less."""
+    if "charge_pressure" not in reading.said or not reading.has("p1", "p2"):
+        return None
+    sources = [reading.roles[role] for role in ("p1", "p2")]
+    lowest = min(one.factor * reading.moments.levels[one.channel].low + one.offset
+                 for one in sources)
+    fed = reading.rig["charge_pressure"]
+    if not fed or lowest <= 0.0:  # read above the ambient pressure
+        return None
+    return Check("charge", odd(log(lowest / fed), SPREAD["charge"]), Phrase(
+        f"the lower pressure comes down to {figure(1e-6 * lowest)} MPa where the config has a "
+        f"charge pressure of {figure(1e-6 * fed)} MPa", f"{figure(1e-6 * lowest)} MPa"))
+
+
 def measured_speed(reading: Reading) -> Check | None:
     """The velocity channel is the position's derivative."""
     if not reading.has("x", "v"):
@@ -456,5 +471,5 @@ def clock(reading: Reading) -> Check | None:
 
 
 RELATIONS: tuple[Callable[[Reading], Check | list[Check] | None], ...] = (
-    force_balance, flow_balance, drive, tracking, stiffness, stroke, measured_speed, both_forces,
-    sizes, clock)
+    force_balance, flow_balance, drive, tracking, stiffness, stroke, charge, measured_speed,
+    both_forces, sizes, clock)

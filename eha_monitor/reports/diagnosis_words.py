@@ -46,6 +46,7 @@ AGAINST_HEALTHY = {
     "mismatch": ("warn", "Change identified"),
     "unexplained": ("error", "Changed, unexplained"),
 }
+PARTLY = ("unknown", "No change in what can be compared")
 WRONG_NUMBERS = ("warn", "Wrong rig data explain the mismatch; no effect is missing")
 UNSURE = ("warn", "Mismatch; none of the names for it is more likely than not")
 REGIMES = {
@@ -64,6 +65,8 @@ _STATISTICS = "variance inflation"  # of every sentence on how well parameters a
 
 def head_of(found: Diagnosis) -> tuple[str, str]:
     """Return the colour and the first words of a verdict."""
+    if found.references and found.verdict == "consistent" and found.blind:
+        return PARTLY
     if found.references and found.verdict in AGAINST_HEALTHY:
         return AGAINST_HEALTHY[found.verdict]
     if found.pieces or (found.change_points and found.verdict == "consistent"):

@@ -128,6 +128,10 @@ class Comparison:
         if answer.problem:
             self._tell(answer.problem, "WARN")
             return False
+        if answer.verdict == "insufficient_data":  # a pause: again with the rows that come
+            self._last_s = -EVERY_S
+            forget(answer)
+            return False
         changed = {one["what"] for one in answer.tree["changes"]}
         if answer.verdict == "unexplained":
             changed = {"unexplained"}

@@ -16,6 +16,7 @@ from eha_monitor.errors import InputError
 from eha_monitor.output import check_regular
 from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.settings.monitor import Settings
+from eha_monitor.settings.rig import Rig
 from eha_monitor.units import beyond, lost_units, no_such_column, plain
 
 LARGEST = 1024 * 1024  # bytes of a config
@@ -246,7 +247,7 @@ def annotated(settings: Settings, title: str = "") -> str:
     """Return ``settings`` as YAML in ROS parameter file form, with a comment on every key.
 
     ROS parameter files know neither null nor an empty mapping, so such a value stands in a
-    comment where it is the default.
+    comment where it is the default; so does what a config leaves out of its rig.
     """
     lines = [f"# {line}".rstrip() for line in (title + "\n" + _HEAD).strip().splitlines()]
     lines += ["/**:", "  ros__parameters:", *_section(settings, 4)]
@@ -277,6 +278,8 @@ def _section(model: BaseModel, indent: int, explain: bool = True,
                 yield from _pattern(field.annotation, margin)
         else:
             unset = _unset(value, field) and getattr(usual, key, value) == value
+            # A number of the rig that nobody gave binds nobody: written, it would.
+            unset |= isinstance(model, Rig) and key not in (model.model_fields_set or {key})
             yield from _entry(f"{key}: {_in_unit(value, field)}", about, margin, unset)
 
 

@@ -35,6 +35,7 @@ from eha_monitor.physics.contributions import NAMES, circuit_of, turned_memory
 from eha_monitor.physics.parameters import place_of
 from eha_monitor.physics.plant import N_OUTPUTS, Step, actuator_of, new_state
 
+EXCHANGES = 20  # between free and held, times the numbers of a step: a few are usual
 SINGULAR = 1e-12  # of a correlation: what rounding may make of it
 # Effects whose flow goes with a pressure beyond a set point, and the places of those slopes.
 CONDUCTANCES = tuple((NAMES.index(name), place_of(f"{name}.k")) for name in VALVES)
@@ -302,7 +303,8 @@ def step_within(matrix: np.ndarray, gradient: np.ndarray, bounds: np.ndarray) ->
         return inside
     root = np.linalg.cholesky(matrix).T
     wide = np.maximum(high, low + np.finfo(float).tiny)
-    found = lsq_linear(root, np.linalg.solve(root.T, gradient), (low, wide), "bvls", tol=1e-12)
+    found = lsq_linear(root, np.linalg.solve(root.T, gradient), (low, wide), "bvls", tol=1e-12,
+                       max_iter=EXCHANGES * len(gradient))
     return np.clip(found.x, low, high)
 
 
