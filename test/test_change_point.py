@@ -61,6 +61,6 @@ def test_the_command_says_and_writes_it(tmp_path, capfd):
     write_recording(bag, recorded("viscous_damping", 900.0), settings())
     assert cli.main(["diagnose", str(bag), "--json", str(out)]) == 0
     said = " ".join(capfd.readouterr().out.split())
-    assert "viscous damping rose by" in said and "since then" in said
+    assert "viscous damping rose by" in said and "in the state since" in said
     (point,) = json.loads(out.read_text())["change_points"]
     assert point["symbol"] == "B" and point["step"]["value"] == pytest.approx(300.0, rel=0.01)

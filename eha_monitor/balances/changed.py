@@ -16,6 +16,7 @@ from eha_monitor.balances.judge import (
     explains,
     judge,
     left_unseen,
+    within_stroke,
 )
 from eha_monitor.balances.machine import LEAST, Machine, of_another
 from eha_monitor.balances.model import LOAD, Model, Term, of_judged
@@ -69,7 +70,11 @@ def against(machine: Machine, recordings: Sequence[Recording], settings: Setting
     recordings, courses, left_out = courses_of(recordings, settings)
     if not any(course.shows for course in courses):
         return replace(still(recordings, courses, (), started), references=references)
-    courses = machine.moved(courses)
+    courses, outside = within_stroke(machine.moved(courses), machine.scale)
+    if outside > machine.policy.open:
+        return replace(still(recordings, courses, (), started), references=references, message=(
+            f"{share(outside, 2)} of its motion is where none of the healthy recordings has "
+            "been: record it on the same part of the stroke"))
     apart = _apart(machine, balances_in(courses, rig), settings, references)
     viscosity = viscosity_of(courses)
     judged = beside_viscosity(machine, judge(machine, courses, settings), viscosity).apart()
@@ -123,7 +128,7 @@ def against(machine: Machine, recordings: Sequence[Recording], settings: Setting
             signal_rms=one.size) for one in models}, curves,
         () if verdict == "consistent" else tuple(
             o for one in models if (o := overlay_of(one)) is not None),
-        advice=_advice(machine, courses, references, verdict), health=(*left_out, *apart),
+        advice=_advice(machine, courses, references, verdict, outside), health=(*left_out, *apart),
         changes=changes, references=references, blind=tuple(blind),
         probability={"consistent": np.nan, "unexplained": np.nan},
         duration_s=sum(one.duration for one in recordings), machine=machine,
@@ -454,8 +459,13 @@ def _message(verdict: str, changes: Sequence[Change], judged: Judged, runs: str,
 
 
 def _advice(machine: Machine, courses: Sequence[Course], references: tuple[str, ...],
-            verdict: str) -> tuple[str, ...]:
-    """Return what to know of the references, and what to do next."""
+            verdict: str, outside: float) -> tuple[str, ...]:
+    """Return what to know of the references, and what to do next.
+
+    Parameters
+    ----------
+    outside : share of the motion beyond the references' stroke.
+    """
     found = []
     if machine.pieces:
         few = "one reference recording is" if len(references) == 1 else (
@@ -466,6 +476,9 @@ def _advice(machine: Machine, courses: Sequence[Course], references: tuple[str, 
     found += [f"{one.source} differs from the other references more than a healthy recording "
               f"should ({one.why}): check whether it belongs to them"
               for one in machine.odd if not machine.pieces]
+    if outside > machine.policy.worse:
+        found.append(f"{share(outside, 2)} of its motion is where no reference has been, and not "
+                     "compared")
     if max(course.speed for course in courses) > FASTER * machine.scale.speed:
         found.append("it moves faster than the references; above their speed nothing can be "
                      "compared")

@@ -259,8 +259,9 @@ class Course:
         if self.p1 is None or self.p2 is None or not self.good.any():
             return np.nan, np.nan
         p1, p2 = (self.absolute(p, rig)[self.good] for p in (self.p1, self.p2))
-        return tuple(float(np.quantile(p[emptier], LOW)) if emptier.mean() > EMPTY else np.nan
-                     for p, emptier in ((p1, p1 < p2), (p2, p2 < p1)))
+        # Which one is emptier a zero that is off says wrongly where both are as low.
+        return tuple(float(np.quantile(p, LOW * part)) if (part := emptier.mean()) > EMPTY
+                     else np.nan for p, emptier in ((p1, p1 < p2), (p2, p2 < p1)))
 
     def floor(self, balance: str, rig: Rig) -> float:
         """Return the rms that the sensors alone leave in a balance in its band, SI."""

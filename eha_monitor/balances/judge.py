@@ -8,7 +8,7 @@ import numpy as np
 
 from eha_monitor import ties
 from eha_monitor.balances.alone import covariance_by_chance, form_and_doubts, movement
-from eha_monitor.balances.candidates import DRY, Candidate, balances_in, candidates_of
+from eha_monitor.balances.candidates import DRY, Candidate, Scale, balances_in, candidates_of
 from eha_monitor.balances.course import Course
 from eha_monitor.balances.least_squares import weights_of
 from eha_monitor.balances.machine import Machine, MachineBalance, oil_of, usual_of
@@ -28,6 +28,7 @@ OIL = ("compliance", "entrained_air")  # that every machine has, however little 
 OF_PLACE = ("spring_load", "position_load")  # they hold a load of their own
 ERROR = 1.5  # times the largest of the machine's own recordings: the balance does not belong
 MUCH = 0.15  # of what came: right names leave 0.05 to 0.09 of it, wrong ones 0.24 to 0.8
+BEYOND = 0.1  # of the healthy recordings' stroke: as far as their terms hold
 MANY = 3.0  # times as much where all is fitted anew: the same, however little of the signal it is
 
 
@@ -255,6 +256,20 @@ def within_speed(courses: Sequence[Course], tops: Sequence[float]) -> list[Cours
             for course in courses for top in tops] or list(courses)
 
 
+def within_stroke(courses: Sequence[Course], scale: Scale) -> tuple[list[Course], float]:
+    """Return motions without the samples where no healthy recording has been, and their share.
+
+    What a volume, a spring or a seal does there nobody has seen in health: of chambers half as
+    large the oil read 15 times as stiff.
+    """
+    near, far = scale.origin - BEYOND * scale.span, scale.origin + (1.0 + BEYOND) * scale.span
+    here = [(near <= course.x) & (course.x <= far) for course in courses]
+    found = [replace(course, good=course.good & inside, moving=course.moving & inside)
+             for course, inside in zip(courses, here, strict=True)]
+    before, after = (sum(int(one.moving.sum()) for one in some) for some in (courses, found))
+    return found, 1.0 - after / max(before, 1)
+
+
 @dataclass(frozen=True)
 class _Beside:
     """A balance of the next recording beside the machine's.
@@ -292,6 +307,7 @@ class _Beside:
     def surely(self) -> dict[str, float]:
         """What the machine surely has, by name."""
         named = {name for family in self.one.named for name in family.terms}
+        named |= {p.name for p in self.one.parameters if self.policy.sure(p.value, p.stddev)}
         return {name: value for name, value in self.held.items()
                 if self.of[name].always or self.of[name].configured
                 or self.of[name].effect in OIL or name in named}
@@ -403,8 +419,13 @@ class _Beside:
         return amount, gone
 
     def beyond_physics(self, name: str, value: float) -> bool:
-        """Tell whether a term would be less than nothing: a leak that makes oil, for example."""
+        """Tell whether a term would be less than nothing: a leak that makes oil, for example.
+
+        Dry friction of one shape may be less where the machine has it in another.
+        """
         c = self.of[name]
+        value += sum(self.part(c, other) * self.held[other] for other in self.held
+                     if other != name and self.of[other].adds_to(c))
         return name in self.signed and c.sign * value < c.least
 
     def chosen(self, left: Amplitudes, removed: np.ndarray) -> tuple[int, list[int]]:

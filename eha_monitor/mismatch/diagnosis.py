@@ -397,7 +397,8 @@ class Diagnosis:
         if not points:
             return self
         said = "; ".join(one.statement for one in points)
-        return replace(self, change_points=points, message=f"{said}; since then {self.message}")
+        return replace(self, change_points=points,
+                       message=f"{said}; in the state since: {self.message}")
 
 
 NOTABLE = 0.02  # relative change of a health parameter that is worth a sentence

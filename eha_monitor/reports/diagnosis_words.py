@@ -46,6 +46,7 @@ AGAINST_HEALTHY = {
     "mismatch": ("warn", "Change identified"),
     "unexplained": ("error", "Changed, unexplained"),
 }
+CHANGED_WITHIN = ("warn", "Changed while it was recorded")
 PARTLY = ("unknown", "No change in what can be compared")
 WRONG_NUMBERS = ("warn", "Wrong rig data explain the mismatch; no effect is missing")
 UNSURE = ("warn", "Mismatch; none of the names for it is more likely than not")
@@ -65,6 +66,8 @@ _STATISTICS = "variance inflation"  # of every sentence on how well parameters a
 
 def head_of(found: Diagnosis) -> tuple[str, str]:
     """Return the colour and the first words of a verdict."""
+    if found.references and found.verdict == "consistent" and found.change_points:
+        return CHANGED_WITHIN
     if found.references and found.verdict == "consistent" and found.blind:
         return PARTLY
     if found.references and found.verdict in AGAINST_HEALTHY:

@@ -296,6 +296,8 @@ class SelfDiagnosis:
             if answer.completed is None and answer.verdict != "consistent":
                 # They may hold the change itself; what comes after is diagnosed by itself.
                 self._same.clear()
+            elif answer.tree["change_points"]:  # those before are of another state
+                self._same = self._same[-1:]
             self._tell(f"diagnosed {', '.join(map(str, answer.bags))} in {answer.wall_s:.0f} s: "
                        f"{answer.words}")
         service = self._services["diagnose"]

@@ -182,7 +182,8 @@ def columns_at(experiment: Experiment, fit: Fit, unnamed: bool = True, suspects:
         good = True
         for into, run, part in zip(values, runs_of(experiment, theta, active, fit.gains), present,
                                    strict=True):
-            np.subtract(run, part, out=run)
+            with np.errstate(invalid="ignore"):  # a run that went astray is not used
+                np.subtract(run, part, out=run)
             run /= units
             good &= tame(run, part)
             into[:, :, 1 + place] = run if good else 0.0
