@@ -169,7 +169,7 @@ _NO_MEMORY = ("MemoryError", "Memory allocation", "Cannot allocate memory")
 
 
 class Turn:
-    """Whose diagnosis is under way: one at a time in a process, for all its actuators.
+    """Whose turn it is: one at a time in a process, for all its actuators.
 
     Whoever is collected without giving it back holds it no longer.
     """
@@ -192,7 +192,8 @@ class Turn:
             self._holder = None
 
 
-TURN = Turn()
+# A comparison takes some seconds, a diagnosis minutes: the one does not wait for the other.
+TURN, COMPARING = Turn(), Turn()
 
 
 @dataclass(frozen=True)

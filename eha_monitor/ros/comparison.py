@@ -9,14 +9,14 @@ from eha_monitor.errors import InputError
 from eha_monitor.estimation.model_watch import MOVED
 from eha_monitor.estimation.results import ModelStatus, ParameterEstimate
 from eha_monitor.health.judge import Finding
-from eha_monitor.live.diagnosing import TURN, Answer, Diagnosing, comparison_findings
+from eha_monitor.live.diagnosing import COMPARING, Answer, Diagnosing, comparison_findings
 from eha_monitor.recordings.ring import Saved
 from eha_monitor.ros.keeper import Keeper
 from eha_monitor.settings import Settings
 
 BEGINS = "the model does not fit"
 EVERY_S = 120.0  # at least: a leak, or what changes slowly, moves nothing
-LATEST_S = 60.0  # of rows at most, where others' diagnoses were waited for: of one state
+LATEST_S = 60.0  # of rows at most, where other comparisons were waited for: of one state
 
 
 class Comparison:
@@ -58,6 +58,16 @@ class Comparison:
         self._changed: set[str] = set()
         self.reset()
 
+    @property
+    def saving(self) -> bool:
+        """Whether its recording is being saved."""
+        return self._saving
+
+    @property
+    def under_way(self) -> bool:
+        """Whether it compares now."""
+        return COMPARING.holder is self
+
     def reset(self) -> None:
         """Count time anew."""
         self._due: tuple[float, int, str] | None = None  # since when: s of the rows, ns of the log
@@ -89,10 +99,15 @@ class Comparison:
                          if why or name not in self._values}
 
     def begin_if_due(self, now_s: float) -> None:
-        """Save what came since something moved, once that is enough, and compare it."""
+        """Save what came since something moved, once that is enough, and compare it.
+
+        Not while another actuator's comparison is under way.
+        """
+        if COMPARING.holder is not None:
+            return
         enough = self._settings.diagnosis.after * (2.0 if self._again else 1.0)
         if self._due is not None and now_s - self._due[0] >= enough:
-            TURN.take(self)
+            COMPARING.take(self)
             self._saving, self._last_s, self._compared = True, now_s, self._due
             latest = self._log_ns(now_s - max(LATEST_S, enough))
             self._keeper.save_since(max(self._due[1], latest), self._saved)
@@ -108,7 +123,7 @@ class Comparison:
                 [bag.path], self._settings, bag.path.with_name(f"{bag.path.name}_comparison"),
                 ["--machine", str(self._file)])
         except (InputError, OSError) as problem:
-            TURN.give_back(self)
+            COMPARING.give_back(self)
             self._due = None
             self._tell(str(problem), "WARN")
 
@@ -118,16 +133,18 @@ class Comparison:
         if answer is None:
             return False
         self._running, (_, since_ns, why) = None, self._compared
-        TURN.give_back(self)
+        COMPARING.give_back(self)
         if answer.verdict == "unexplained" and not self._again:
             self._again = True  # a short recording may lack the motion of the healthy ones
             forget(answer)
             return False
         self._due, self._again = None, False
-        since = datetime.fromtimestamp(1e-9 * since_ns, UTC).isoformat(timespec="seconds")
         if answer.problem:
             self._tell(answer.problem, "WARN")
             return False
+        # What has changed within the rows has changed there, and not where they begin.
+        within = max((one["since_s"] for one in answer.tree["change_points"]), default=0.0)
+        since = datetime.fromtimestamp(1e-9 * since_ns + within, UTC).isoformat(timespec="seconds")
         if answer.verdict == "insufficient_data":  # a pause: again with the rows that come
             self._last_s = -EVERY_S
             forget(answer)
@@ -148,7 +165,7 @@ class Comparison:
         """End what is under way."""
         if self._running is not None:
             self._running.end()
-        TURN.give_back(self)
+        COMPARING.give_back(self)
         self._running, self._saving, self._due, self._again = None, False, None, False
 
 

@@ -212,7 +212,8 @@ class SelfDiagnosis:
 
     @property
     def _busy(self) -> bool:
-        return self._coming is not None or TURN.holder is not None
+        return (self._coming is not None or TURN.holder is not None
+                or (self._comparison is not None and self._comparison.saving))
 
     def _on_diagnose(self) -> str | None:
         if self._keeper.ring is None:
@@ -230,8 +231,8 @@ class SelfDiagnosis:
 
     @property
     def _elsewhere(self) -> bool:
-        """Whether all that is in the way is another actuator's diagnosis, or a comparison."""
-        return self._coming is None and TURN.holder not in (None, self)
+        """Whether what is in the way is another actuator's diagnosis, or a bag that is saved."""
+        return self._coming is None and TURN.holder is not self
 
     def _wait(self, by: str) -> None:
         """Begin as soon as what is in the way has ended."""
@@ -281,7 +282,7 @@ class SelfDiagnosis:
         if self._comparison is not None:
             if self._comparison.poll():
                 self._say()
-            if not self._busy:
+            if self._coming is None and not self._saving:
                 self._comparison.begin_if_due(self._now_s)
 
     def _ended(self, answer: Answer) -> None:
@@ -410,11 +411,12 @@ class SelfDiagnosis:
             return "the recording is being saved"
         if self._running is not None:
             return "a diagnosis is under way"
-        if TURN.holder is None:
-            return "idle"
-        what = ("a comparison with the healthy machine" if TURN.holder is self._comparison
-                else "a diagnosis of another actuator")
-        return f"{'waits: ' if self._waits else ''}{what} is under way"
+        waits = "waits: " if self._waits else ""
+        if TURN.holder is not None:
+            return f"{waits}a diagnosis of another actuator is under way"
+        if self._comparison is not None and self._comparison.under_way:
+            return f"{waits}a comparison with the healthy machine is under way"
+        return "idle"
 
     def _tell(self, text: str, level: str = "OK") -> None:
         """Log an event and publish it."""
