@@ -15,7 +15,7 @@ place of their critical values, which hold for independent samples only.
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
@@ -76,38 +76,26 @@ def change_point(recording: Recording, settings: Settings, policy: Policy = POLI
         return None
     (course,) = of_one_machine([course], rig, policy)
     scale = Scale.of([course])
-    steps = []
+    found = []
     for balance in balances_in([course], rig):
         (table,) = tables_of([course], rig, balance, candidates_of(balance, scale, rig), policy)
         step = _Steps(table, course, policy).largest() if table.n else None
         if step is not None:
-            steps.append(step)
-    return max(steps, key=lambda step: step.gain).told() if steps else None
+            found.append(step)
+    return max(found, key=lambda step: step.removed, default=None)
 
 
-@dataclass(frozen=True)
-class _Step:
-    """A step of a term's parameter before a block, which takes ``gain`` log units of the error."""
-
-    source: str
-    candidate: Candidate
-    start: float
-    stop: float
-    gain: float
-    value: float
-    stddev: float
-
-    def told(self) -> ChangePoint:
-        """Return the record of it."""
-        c, words = self.candidate, self.candidate.words.removesuffix(BEYOND)
-        if c.name in SENSORS:
-            words += f" ({SENSORS[c.name]})"
-        way = "rose" if self.value > 0.0 else "fell"
-        return ChangePoint(
-            self.source, self.start, self.stop, c.effect, c.symbol or c.name, c.balance,
-            Value(self.value, self.stddev, c.unit), 1.0 - float(np.exp(-self.gain)),
-            f"between {self.start:.1f} and {self.stop:.1f} s {words} {way} by "
-            f"{with_uncertainty(abs(self.value), self.stddev, c.unit)}")
+def _told(source: str, c: Candidate, between: tuple[float, float], gain: float,
+          step: tuple[float, float]) -> ChangePoint:
+    """Return the record of a step, (value, stddev), that takes ``gain`` log units of the error."""
+    words, (value, stddev), (start, stop) = c.words.removesuffix(BEYOND), step, between
+    if c.name in SENSORS:
+        words += f" ({SENSORS[c.name]})"
+    return ChangePoint(
+        source, start, stop, c.effect, c.symbol or c.name, c.balance,
+        Value(value, stddev, c.unit), 1.0 - float(np.exp(-gain)),
+        f"between {start:.1f} and {stop:.1f} s {words} {'rose' if value > 0.0 else 'fell'} by "
+        f"{with_uncertainty(abs(value), stddev, c.unit)}")
 
 
 class _Steps:
@@ -121,10 +109,9 @@ class _Steps:
     def __init__(self, table: Table, course: Course, policy: Policy):
         self.table, self.course, self.policy = table, course, policy
         self.of = {one.name: one for one in table.candidates}
-        self.names = [name.term for name in alone(table, policy).names]
+        self.names = [name.term for name in alone(table, policy).names if name.effect != DRIFT]
         self.terms = [name for name in dict.fromkeys((*PLAIN, *self.names))
-                      if name in table.places and self.of[name].effect != DRIFT]
-        self.names = [name for name in self.names if self.of[name].effect != DRIFT]
+                      if name in table.places]
         t = np.linspace(-1.0, 1.0, len(table.rows))[:, None]
         damping = [table.places[name] for name in self.names if name == DAMPING]
         self.rows = np.hstack([table.rows, *(
@@ -134,12 +121,16 @@ class _Steps:
         self.group = group.astype(int)
 
     @cached_property
+    def whose(self) -> np.ndarray:
+        """Block of each compared sample that counts, (n,)."""
+        table = self.table
+        return self.group[np.searchsorted(table.numbers, table.block[table.good])]
+
+    @cached_property
     def blocks(self) -> np.ndarray:
         """Products of each block, (b, 1 + k, 1 + k)."""
-        table = self.table
-        rows, block = self.rows[table.good], table.block[table.good]
-        whose = self.group[np.searchsorted(table.numbers, block)]
-        parts = np.split(rows, np.flatnonzero(np.diff(whose)) + 1)
+        rows = self.rows[self.table.good]
+        parts = np.split(rows, np.flatnonzero(np.diff(self.whose)) + 1)
         return np.array([part.T @ part for part in parts])
 
     @cached_property
@@ -156,7 +147,7 @@ class _Steps:
         least = max(FEWEST, round(LEAST * len(self.blocks)))
         return range(least, len(self.blocks) - least + 1)
 
-    def largest(self) -> _Step | None:
+    def largest(self) -> ChangePoint | None:
         """Return the step that gains most, if it is a change of the machine."""
         policy = self.policy
         if not self.range:
@@ -177,16 +168,16 @@ class _Steps:
         value, chance, stddev, least = self.fitted(name, place)
         if abs(value) < policy.owed * chance or least:
             return None
-        return _Step(self.table.source, self.of[name], float(self.edges[place - 1]),
-                     float(self.edges[place + 1]), float(gains[name].max()), value, stddev)
+        start, stop = self.edges[[place - 1, place + 1]].tolist()
+        return _told(self.table.source, self.of[name], (start, stop), float(gains[name].max()),
+                     (value, stddev))
 
     def orders(self) -> Iterator[np.ndarray]:
         """Yield the blocks in the order of their speed, and of their position; (b,)."""
         course, table = self.course, self.table
-        whose = self.group[np.searchsorted(table.numbers, table.block[table.good])]
-        count = np.bincount(whose)
+        count = np.bincount(self.whose)
         for values in (np.square(course.compared(course.v)), course.compared(course.x)):
-            mean = np.bincount(whose, values[table.good]) / count
+            mean = np.bincount(self.whose, values[table.good]) / count
             yield np.argsort(mean, kind="stable")
 
     def gains(self, order: np.ndarray) -> dict[str, np.ndarray]:
@@ -205,12 +196,11 @@ class _Steps:
             rows = self.blocks[order][:, places[-1]][:, [*places, places[-1]]]
             later = [np.cumsum(np.where((fold == one)[:, None], rows, 0.0)[::-1], axis=0)[::-1]
                      for one in range(FOLDS)]
-            gains = []
-            for i in self.range:
+            free, bounds, gains = np.append(signs, 0.0), np.append(least, 0.0), []
+            for i in self.range:  # a step has either sign
                 grams = [_bordered(part, row[i]) for part, row in zip(parts, later, strict=True)]
                 total = sum(grams)
-                left = sum(_left(total - part, part, np.append(signs, 0.0),
-                                 np.append(least, 0.0)) for part in grams)
+                left = sum(_left(total - part, part, free, bounds) for part in grams)
                 gains.append(0.5 * np.log(whole / left))
             found[name] = np.array(gains)
         return found

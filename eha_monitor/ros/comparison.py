@@ -142,13 +142,13 @@ class Comparison:
         if answer.problem:
             self._tell(answer.problem, "WARN")
             return False
-        # What has changed within the rows has changed there, and not where they begin.
-        within = max((one["since_s"] for one in answer.tree["change_points"]), default=0.0)
-        since = datetime.fromtimestamp(1e-9 * since_ns + within, UTC).isoformat(timespec="seconds")
         if answer.verdict == "insufficient_data":  # a pause: again with the rows that come
             self._last_s = -EVERY_S
             forget(answer)
             return False
+        # What has changed within the rows has changed there, and not where they begin.
+        within = max((one["since_s"] for one in answer.tree["change_points"]), default=0.0)
+        since = datetime.fromtimestamp(1e-9 * since_ns + within, UTC).isoformat(timespec="seconds")
         changed = {one["what"] for one in answer.tree["changes"]}
         if answer.verdict == "unexplained":
             changed = {"unexplained"}

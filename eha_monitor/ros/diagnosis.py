@@ -81,7 +81,7 @@ class SelfDiagnosis:
         self._target: Adopted | None = None  # of the exchange that is under way
         self._gate = False
         self._events, self._last_event = 0, {}
-        self._waits = ""  # who asked for a diagnosis while another was under way, or a comparison
+        self._waits = ""  # who asked for a diagnosis while another was under way, or a bag saved
         self._comparison = Comparison(settings, keeper, self._tell, self._log_ns) if (
             settings.diagnosis.machine and keeper.ring is not None) else None
         self._began_anew()
