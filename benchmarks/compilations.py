@@ -25,7 +25,7 @@ ROOT = Path(__file__).parents[1]
 SIGNATURES = ROOT / "eha_monitor" / "signatures.json"
 LIVE = ("simulator", "monitor", "replay")
 # Commands on what `grounds` makes.  {k} is a bag there; a config stands beside its bag.
-ESTIMATES = {"plain": {}, "euler": {"discretisation": "euler"},
+ESTIMATES = {"plain": {"effects": {}}, "euler": {"discretisation": "euler"},
              "sampled": {"command_hold": "sampled"},
              "delayed": {"effects": {"command_delay": {"T": 1e-3}}},
              "rubbing": {"effects": {"coulomb_friction": {"F_c": 10.0}}},
@@ -145,7 +145,8 @@ def run(name: str, together: list[list[str]], environment: dict[str, str]) -> fl
                                   stderr=subprocess.PIPE, text=True) for one in together]
     for one, process in zip(together, processes, strict=True):
         _, told = process.communicate()
-        if process.returncode not in (0, 1, 2):  # refused in one line is an answer too
+        # Refused in one line is an answer too.
+        if process.returncode not in (0, 1, 2) or "Traceback (most recent" in told:
             raise RuntimeError(f"{name}: {' '.join(one[2:])[:200]}\n{told}")
         if process.returncode == 2:
             print(f"{name}: {told.strip().splitlines()[-1]}", flush=True)

@@ -63,7 +63,7 @@ def test_each_effect_has_a_column_or_a_reason(settings):
     """Least squares may overrule the filter: what they have no law for they call another name."""
     course = course_of(stranger(0, **CALM), settings)
     present = {one.effect for balance in BALANCES for one in candidates_of(
-        balance, replace(Scale.of([course]), tops=(100.0,)), settings.rig)}
+        balance, replace(Scale.of([course]), tops=(100.0,), contacts=((0.1, 1.0),)), settings.rig)}
     needed = {name for name, effect in CATALOGUE.items() if effect.balance != "sensor"}
     assert needed - present == set(WITHOUT_COLUMN), (
         "balances/candidates.py, or a reason here (docs/effects.md, An entry of the catalogue)")

@@ -34,6 +34,7 @@ from eha_monitor.physics.contributions import N_EFFECTS, with_term
 assert with_term(np.ones(N_EFFECTS, dtype=bool)).any()
 """ + REPORT
 COMMANDS = COUNT + """
+import numpy as np
 from pathlib import Path
 from eha_monitor.cli import main
 from eha_monitor.live.estimator import LiveEstimator

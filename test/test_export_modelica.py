@@ -21,7 +21,8 @@ generator.OP_MAP["/"] = "__truediv__"
 # Values at which each effect of the plant does something in the range of the random states.
 SIZES = {"added_mass": {"dM": 6.0}, "anti_cavitation": {"k": 1e-11, "p_min": 2.2e6},
          "asymmetric_friction": {"F_c": 20.0, "dF": 5.0, "dB": 40.0},
-         "constant_load": {"F_0": 12.0}, "coulomb_friction": {"F_c": 40.0},
+         "constant_load": {"F_0": 12.0}, "contact_spring": {"k": 9e3, "x_c": 0.01},
+         "coulomb_friction": {"F_c": 40.0},
          "cross_port_leakage": {"L": 1e-12}, "entrained_air": {"alpha": 0.02},
          "external_leakage": {"L_1": 2e-13, "L_2": 1e-13}, "leakage_offset": {"Q_0": 1e-7},
          "line_dynamics": {"T_l": 2e-3}, "position_dependent_volume": {"A_v": 5e-4},

@@ -70,6 +70,7 @@ CASES = {
     "quadratic_friction": {"a_1": 8000.0},
     "relief_valve": {"k": 2e-11, "p_c": 1.5e5},
     "spring_load": {"k": 8000.0},
+    "contact_spring": {"k": 2e4, "x_c": 0.01},
     "stribeck_friction": {"F_c": 20.0, "F_d": 20.0, **SEAL},
     "turbulent_leakage": {"c": 2e-9},
 }

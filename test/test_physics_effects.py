@@ -25,7 +25,8 @@ from eha_monitor.physics.parameters import theta_of
 P_ATM = 101325.0
 CONTRACT = {  # the table of the interface contract
     "force": "coulomb_friction stribeck_friction quadratic_friction asymmetric_friction "
-             "pressure_friction presliding_friction constant_load spring_load added_mass backlash",
+             "pressure_friction presliding_friction constant_load spring_load contact_spring "
+             "added_mass backlash",
     "flow": "cross_port_leakage turbulent_leakage leakage_offset external_leakage relief_valve "
             "entrained_air position_dependent_volume pump_dead_zone pump_flow_gain "
             "pump_volumetric_loss line_dynamics anti_cavitation",
@@ -111,6 +112,8 @@ TERMS = {
     "constant_load": (lambda r, p: {s.FORCE: p["F_0"]}, {"F_0": -33.0}),
     "spring_load": (lambda r, p: {s.FORCE: p["k"] * r.x - p["k"] * p["x_0"]},
                     {"k": 900.0, "x_0": 0.004}),
+    "contact_spring": (lambda r, p: {s.FORCE: p["k"] * min(r.x - p["x_c"], 0.0)},
+                       {"k": 4e4, "x_c": 0.01, "side": -1.0}),
     "added_mass": (lambda r, p: {s.MASS: p["dM"]}, {"dM": 6.0}),
     "cross_port_leakage": (lambda r, p: across(p["L"] * r.dp), {"L": 3e-12}),
     "turbulent_leakage": (

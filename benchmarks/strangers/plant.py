@@ -128,6 +128,8 @@ class Constants(NamedTuple):
     warming: float = 10.0  # tau_h, s
     play: float = 0.0  # b, m, between rod and encoder, end to end
     stiffening: float = 0.0  # k of LuGre
+    contact: float = 0.0  # N/m, of what the rod meets while extending
+    contact_place: float = 0.0  # m, where
 
 
 @njit
@@ -174,7 +176,8 @@ def rates(y, wanted, c, out):
     w = y[W] if c.lag > 0.0 else wanted
     v = moving(y[V], c)
     push = (c.area_1 * y[P1] - c.area_2 * y[P2]
-            - c.damping * (1.0 - c.damping_drop * y[WARM]) * v - c.load)
+            - c.damping * (1.0 - c.damping_drop * y[WARM]) * v - c.load
+            - c.contact * max(y[X] - c.contact_place, 0.0))
     dry, out[F] = friction_force(y[V], y[F], push, c)
     second = c.makeup if c.makeup_2 < 0.0 else c.makeup_2
     case_2 = c.case_leakage if c.case_leakage_2 < 0.0 else c.case_leakage_2

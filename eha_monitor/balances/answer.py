@@ -16,6 +16,7 @@ from eha_monitor.balances.candidates import (
     candidate_of,
     candidates_of,
 )
+from eha_monitor.balances.contact import contacts_of
 from eha_monitor.balances.course import NO_MOTION, Course, course_of, courses_of
 from eha_monitor.balances.least_squares import rms
 from eha_monitor.balances.machine import Machine, machine_from, pressure_varied
@@ -90,7 +91,8 @@ def answered(recordings: Sequence[Recording], settings: Settings, asked: Asked =
     baselines = tuple(baseline(recording, settings) for recording in recordings)
     if not any(course.shows for course in courses):
         return still(recordings, courses, baselines, started)
-    courses, scale, machine = of_one_machine(courses, rig, policy), Scale.of(courses), None
+    courses, scale, machine = of_one_machine(courses, rig, policy), Scale.of(
+        courses, contacts_of(courses, policy)), None
     own, untestable = (), ()
     if asked.hypothesis is not None:
         candidate = candidate_of(asked.hypothesis, rig) if len(courses) < policy.fewest else None

@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from eha_monitor.balances import contact
 from eha_monitor.balances.course import (
     COMMANDED,
     STANDING,
@@ -27,6 +28,7 @@ from eha_monitor.physics.contributions import N_EFFECTS, N_THETA, new_memory, sl
 from eha_monitor.physics.effects import NAMES
 from eha_monitor.physics.effects.oil import compliance
 from eha_monitor.physics.own_term import parsed
+from eha_monitor.quantity import quantity
 from eha_monitor.settings.hypothesis import Hypothesis
 from eha_monitor.settings.rig import Rig
 
@@ -191,6 +193,7 @@ class Scale:
     the top speed of the slowest; ``tops`` speeds of the pump, one for each of ``TOPS``.
     ``turns`` : each of them moves both ways; else a load of its own hides dry friction.
     ``relaxed`` : where a spring is, that of the config, or one more than its is at the origin.
+    ``contacts`` : see :func:`contact.contacts_of`.
     """
 
     origin: float
@@ -201,9 +204,11 @@ class Scale:
     tops: tuple[float, ...] = ()
     turns: bool = True
     relaxed: float = 0.0
+    contacts: tuple[tuple[float, float], ...] = ()
 
     @classmethod
-    def of(cls, courses: Sequence[Course]) -> "Scale":
+    def of(cls, courses: Sequence[Course], contacts: tuple[tuple[float, float], ...] = ()
+           ) -> "Scale":
         """Return the scale of some recordings."""
         low = min(float(c.x[c.good].min()) for c in courses)
         high = max(float(c.x[c.good].max()) for c in courses)
@@ -214,7 +219,7 @@ class Scale:
                    min(c.speed for c in courses),
                    tuple(np.quantile(np.concatenate(pumps), TOPS).tolist()) if pumps else (),
                    all(turned(c) for c in courses if c.moving.any()),
-                   courses[0].effects.get("spring_load", {}).get("x_0", low))
+                   courses[0].effects.get("spring_load", {}).get("x_0", low), contacts)
 
 
 BOTH = 0.05  # of the moving samples: a recording that turns round has more either way
@@ -326,6 +331,12 @@ def force_candidates(scale: Scale, rig: Rig) -> tuple[Candidate, ...]:
             f"F_x{i}", "position_load", "N", f"load over the stroke, cosine {i}", 0,
             lambda c, r, i=i: np.cos(i * np.pi * (c.x - origin) / scale.span),
             family="position", odd=False))
+    for i, (place, side) in enumerate(scale.contacts, start=1):
+        found.append(one(
+            f"k_c{i}", contact.EFFECT, "N/m", f"spring met {'above' if side > 0.0 else 'below'} "
+            f"x = {quantity(place, 'm', 3)}", 1,
+            lambda c, r, at=place, side=side: contact.pressed(c.x, at, side), family="position",
+            variant=True, symbol="k", shape=(("x_c", place), ("side", side)), odd=False))
     return tuple(found)
 
 

@@ -23,6 +23,7 @@ import numpy as np
 from eha_monitor import ties
 from eha_monitor.balances.alone import alone
 from eha_monitor.balances.candidates import Candidate, Scale, balances_in, candidates_of
+from eha_monitor.balances.contact import contacts_of
 from eha_monitor.balances.course import Course, course_of
 from eha_monitor.balances.least_squares import independent, inverse_of, signed_solution
 from eha_monitor.balances.policy import POLICY, Policy
@@ -75,7 +76,7 @@ def change_point(recording: Recording, settings: Settings, policy: Policy = POLI
     if not course.shows:
         return None
     (course,) = of_one_machine([course], rig, policy)
-    scale = Scale.of([course])
+    scale = Scale.of([course], contacts_of([course], policy))
     found = []
     for balance in balances_in([course], rig):
         (table,) = tables_of([course], rig, balance, candidates_of(balance, scale, rig), policy)

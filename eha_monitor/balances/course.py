@@ -345,7 +345,7 @@ def course_of(recording: Recording, settings: Settings, band: float = BAND) -> C
     if good.sum() * step < SHORTEST:
         raise InputError(f"{recording.source}: expected at least {SHORTEST:g} s of motion away "
                          f"from stops with all channels, found {good.sum() * step:.1f} s")
-    v, x = v[::every], x[::every]
+    v, x = v[::every], np.ascontiguousarray(x[::every])  # one layout for compiled loops
     p1, p2, omega = (fine(whole[name]) if name in whole else None
                      for name in ("p1", "p2", "omega"))
     rate_1, rate_2 = (None if p is None else slope(p, step) for p in (p1, p2))

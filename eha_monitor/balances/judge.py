@@ -412,21 +412,23 @@ class _Beside:
         """Return by how much each term has moved and the squares that are gone with it, (k,)."""
         amount, gone = np.array([left.gone_with(self.oil, self.policy.varied, i, mean)
                                  for i, mean in enumerate(scatter.mean)]).T
+        known = np.hypot(left.stddev, scatter.spread)
         for i, name in enumerate(left.names):
-            if self.of[name].quantity in taken or self.beyond_physics(
-                    name, now.get(name, 0.0) + amount[i]):
+            less = self.less_than_nothing(name, now.get(name, 0.0) + amount[i])
+            if self.of[name].quantity in taken or less > self.policy.varied * known[i]:
                 gone[i] = -np.inf
+            amount[i] += less * self.of[name].sign  # a spring that broke is nothing at all
         return amount, gone
 
-    def beyond_physics(self, name: str, value: float) -> bool:
-        """Tell whether a term would be less than nothing: a leak that makes oil, for example.
+    def less_than_nothing(self, name: str, value: float) -> float:
+        """Return by how much a term would be less than nothing, 0 if not: a leak that makes oil.
 
         Dry friction of one shape may be less where the machine has it in another.
         """
         c = self.of[name]
         value += sum(self.part(c, other) * self.held[other] for other in self.held
                      if other != name and self.of[other].adds_to(c))
-        return name in self.signed and c.sign * value < c.least
+        return max(c.least - c.sign * value, 0.0) if name in self.signed else 0.0
 
     def chosen(self, left: Amplitudes, removed: np.ndarray) -> tuple[int, list[int]]:
         """Return the term that explains a recording, and those that remove nearly as much.
@@ -503,7 +505,8 @@ class _Beside:
         return tuple(dict.fromkeys(
             self.of[name].effect for name, amount, there in zip(
                 names, left.value[1:], as_much[1:], strict=True)
-            if there and not self.beyond_physics(name, self.held.get(name, 0.0) + amount)))
+            if there and not self.less_than_nothing(
+                name, self.held.get(name, 0.0) + amount)))
 
     def holds(self, moved: Moved, load: Moved) -> bool:
         """Tell whether a load over the stroke has changed by as much as half the constant one."""

@@ -22,6 +22,7 @@ from eha_monitor.balances.candidates import (
     candidates_of,
     sum_of_pressures,
 )
+from eha_monitor.balances.contact import contacts_of
 from eha_monitor.balances.course import Course
 from eha_monitor.balances.discrepancy import Regime, learned, regimes, signals_of
 from eha_monitor.balances.least_squares import rms
@@ -320,7 +321,7 @@ def machine_from(courses: Sequence[Course], rig: Rig, vary: Sequence[str], witho
     vary : what is known to differ between them.
     pieces : they are parts of few recordings, of one setting.
     """
-    scale = Scale.of(courses)
+    scale = Scale.of(courses, contacts_of(courses, policy))
     if pieces:
         scale = replace(scale, turns=False)
     varied, found = list(vary), []

@@ -118,7 +118,7 @@ class Scatter:
 
     Attributes
     ----------
-    names : (k,) terms that every recording answers to.
+    names : (k,) terms that every recording answers to, or of the machine's own some.
     mean, spread, power, noise : (k,) over the recordings; of their power and deviation the
         median.
     limit : (k,) of Student's t: beyond it a recording is changed.
@@ -165,11 +165,14 @@ def scatter_of(tables: Sequence[Table], weights: dict[str, float], settings: Seq
     each = [amplitudes_of(table, weights, settings, terms, oil) for table in tables]
     values, powers, noise = (np.array([getattr(one, name) for one in each])
                              for name in ("value", "power", "stddev"))
-    usual = np.median(powers, axis=0)
-    kept = np.flatnonzero(np.isfinite(values).all(axis=0) & (np.ptp(values, axis=0) > 0.0)
-                          & (powers.min(axis=0) > ANSWERS * usual))
-    values, powers, noise, usual = (values[:, kept], powers[:, kept], noise[:, kept],
-                                    usual[kept])
+    usual = np.median(np.nan_to_num(powers), axis=0)
+    answers = np.isfinite(values) & (powers > ANSWERS * usual)
+    # What the machine has it keeps, where some recordings do not come so far as a tool.
+    enough = answers.all(axis=0) | ([name in weights for name in terms] & (
+        answers.sum(axis=0) >= policy.fewest))
+    kept = np.flatnonzero(enough & (np.ptp(values, axis=0) > 0.0))
+    answers, usual, noise = answers[:, kept], usual[kept], noise[:, kept]
+    values, powers = (np.where(answers, rows[:, kept], 0.0) for rows in (values, powers))
     names = tuple(terms[i] for i in kept)
     between = np.array([policy.between if of[name].between is None else of[name].between
                         for name in names])
@@ -180,14 +183,15 @@ def scatter_of(tables: Sequence[Table], weights: dict[str, float], settings: Seq
     def made(rows: np.ndarray, power: np.ndarray, limit: np.ndarray) -> Scatter:
         weight = np.minimum(power / usual, 1.0)
         mean = (weight * rows).sum(axis=0) / weight.sum(axis=0)
-        spread = np.sqrt((weight * (rows - mean) ** 2).sum(axis=0) / (len(rows) - 1)
-                         + extra**2)
+        spread = np.sqrt((weight * (rows - mean) ** 2).sum(axis=0) / (
+            (power > 0.0).sum(axis=0) - 1) + extra**2)
         return Scatter(names, *(tuple(part.tolist()) for part in (
-            mean, np.maximum(spread, 1e-150), usual, np.median(noise, axis=0), limit)),
+            mean, np.maximum(spread, 1e-150), usual, np.nanmedian(noise, axis=0), limit)),
             len(rows))
 
     products = sum(one.response * one.power[:, None] for one in each)[np.ix_(kept, kept)]
-    limit = np.full(len(kept), limit_of(len(tables), _different(products), policy.false))
+    limit = np.array([limit_of(runs, _different(products), policy.false)
+                      for runs in answers.sum(axis=0).tolist()])
     if len(tables) > 3:  # what a healthy recording did once, one may do again
         own = [np.abs(made(np.delete(values, i, axis=0), np.delete(powers, i, axis=0), limit)
                       .t_of(Amplitudes(names, values[i], noise[i], powers[i], np.zeros((0, 0)),

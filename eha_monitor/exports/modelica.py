@@ -97,6 +97,7 @@ EFFECTS: dict[str, Written | tuple[Written, Written]] = {
         rigid(_ASYMMETRIC, " + {dB}*abs(v)")),
     "constant_load": Written({"force": "{F_0}"}),
     "coulomb_friction": (dry(_COULOMB), rigid(_COULOMB)),
+    "contact_spring": Written({"force": "{k}*{side}*max({side}*(x - {x_c}), 0)"}),
     "cross_port_leakage": across("{L}*dp"),
     "entrained_air": Written({"compliance_1": _AIR.format(p="p1"),
                               "compliance_2": _AIR.format(p="p2")}),

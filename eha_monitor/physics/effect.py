@@ -92,7 +92,8 @@ class Ranges:
 
     Attributes
     ----------
-    speed, position : largest |v| (m/s), largest |x - mean x| (m).
+    speed, position : largest |v| (m/s), largest |x - middle| (m).
+    middle : position half way between the ends of the motion, m.
     acceleration : large |v'| (m/s^2).
     pressure_difference : (q50, q90, q98, max) of |p1 - p2|, Pa.
     lowest_pressure : (q0.2, q2, q20) of the lower chamber pressure, Pa.
@@ -116,6 +117,7 @@ class Ranges:
     flow: float
     sample_time: float
     duration: float
+    middle: float = 0.0
 
 
 @dataclass(frozen=True)

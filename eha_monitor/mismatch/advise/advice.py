@@ -7,6 +7,7 @@ import numpy as np
 
 from eha_monitor.balances.answer import Asked, answered, far_from_config, first_answer
 from eha_monitor.balances.candidates import Scale, balances_in, candidates_of
+from eha_monitor.balances.contact import contacts_of
 from eha_monitor.balances.course import course_of
 from eha_monitor.balances.least_squares import inverse_of
 from eha_monitor.balances.policy import POLICY
@@ -69,7 +70,7 @@ def _known(found: Diagnosis, recordings: Sequence[Recording], settings: Settings
            ) -> tuple[Known, ...]:
     """Return B, beta_e and the effects' parameters, each with what it is confused with most."""
     courses = [course_of(one, settings) for one in recordings]
-    scale, known = Scale.of(courses), []
+    scale, known = Scale.of(courses, contacts_of(courses, POLICY)), []
     for balance in balances_in(courses, settings.rig):
         table = pooled_table(tables_of(courses, settings.rig, balance, candidates_of(
             balance, scale, settings.rig), POLICY))

@@ -438,4 +438,5 @@ def ranges_of(columns: list[dict], settings: Settings, dt: float) -> Ranges:
         lowest_pressure=q(low, 0.002, 0.02, 0.2), mean_pressure=q(mean, 0.5)[0],
         pump_speed=q(omega, 0.5, 0.9, 0.98, 1.0), pump_acceleration=q(turn, 0.9, 0.98, 1.0),
         force=q(force, 0.98)[0], flow=area * q(v, 0.98)[0], sample_time=dt,
-        duration=float(sum(len(next(iter(c.values()))) for c in columns) * dt))
+        duration=float(sum(len(next(iter(c.values()))) for c in columns) * dt),
+        middle=float(np.max(x) + np.min(x)) / 2)

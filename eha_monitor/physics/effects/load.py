@@ -57,6 +57,43 @@ SPRING_LOAD = Effect(
 )
 
 
+# A spring that is met in part of the stroke: a tool, an end cushion, a stop.
+@njit
+def contact_spring_term(s, p, m, c):
+    """Add side k max(side (x - x_c), 0)."""
+    pressed = p[2] * (s[X] - p[1])
+    if pressed > 0.0:
+        c[FORCE] += p[2] * p[0] * pressed
+
+
+def _contacts(r):
+    """Return where a fit begins: a fifth of the travel from either end."""
+    k = {"k": 0.05 * r.force / max(r.position, 1e-6)}
+    return tuple({**k, "x_c": r.middle + 0.6 * side * r.position, "side": side}
+                 for side in (1.0, -1.0))
+
+
+CONTACT_SPRING = Effect(
+    name="contact_spring",
+    balance="force",
+    equation="F = side k max(side (x - x_c), 0)",
+    source="contact with clearance: Johnson 1985, Contact Mechanics, for a linear stiffness",
+    parameters=(
+        Parameter("k", "N/m", "stiffness of what is met", 0.0, 1e10, 1e4),
+        Parameter("x_c", "m", "position at which it is met", -10.0, 10.0, 0.01, 0.0),
+        Parameter("side", "1", "1: met while extending, -1: while retracting", -1.0, 1.0, 1.0,
+                  1.0, fitted=False),
+    ),
+    term=contact_spring_term,
+    adds=(FORCE,),
+    reads=(X,),
+    statement="beyond x = {x_c} the rod meets a spring of {k}",
+    rig_check="Look for what the rod meets there: a tool, an end cushion, a stop; move slowly "
+    "across that place, where the pressure force must begin to rise with x.",
+    starts=_contacts,
+)
+
+
 # More moving mass than the config has: a load, or oil that is moved along.
 @njit
 def added_mass_term(s, p, m, c):
