@@ -7,6 +7,7 @@ import numpy as np
 
 from eha_monitor import ties
 from eha_monitor.balances.candidates import DRY, SIDES
+from eha_monitor.balances.least_squares import rms
 from eha_monitor.balances.machine import OTHER
 from eha_monitor.balances.model import Model, Term
 from eha_monitor.balances.policy import Policy
@@ -21,7 +22,7 @@ from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.quantity import quantity, share, side_by_side, to_digits, with_uncertainty
 from eha_monitor.settings.monitor import Settings
 from eha_monitor.settings.rig import Rig
-from eha_monitor.words import listed
+from eha_monitor.words import effect_words, listed
 
 FORCE_OF_SENSORS = ("pressure_offset", "pressure_scale")  # they make a constant force as well
 LINEAR = ("B", "B_t", "D_p", "C_h", "k_d")  # what the config's own model has; its oil warms
@@ -54,7 +55,7 @@ def effects_of(model: Model, rig: Rig, policy: Policy, held: Effects) -> list[Na
     for effect in list(groups):
         for simpler in CATALOGUE[effect].contains if effect in CATALOGUE else ():
             groups[effect] += groups.pop(simpler, [])
-    return [_effect(name, terms, model, rig, held.get(name, {}))
+    return [_effect(name, terms, model, rig, held)
             for name, terms in _surest(_dry_as_one(groups, policy), policy).items()]
 
 
@@ -94,9 +95,9 @@ def _dry_as_one(groups: dict[str, list[Term]], policy: Policy) -> dict[str, list
                                    if effect not in dry}}
 
 
-def _effect(name: str, terms: Sequence[Term], model: Model, rig: Rig, held: Mapping[str, float]
+def _effect(name: str, terms: Sequence[Term], model: Model, rig: Rig, config: Effects
             ) -> NamedEffect:
-    entry, first = CATALOGUE.get(name), terms[0]
+    entry, first, held = CATALOGUE.get(name), terms[0], config.get(name, {})
     values: dict[str, Value] = {}
     for term in terms:
         symbol, value = shown_as(term, model, rig)
@@ -118,7 +119,11 @@ def _effect(name: str, terms: Sequence[Term], model: Model, rig: Rig, held: Mapp
     grid = {key for term in terms if term.candidate.variant for key, _ in term.candidate.shape}
     said = entry.said(numbers | sure, grid - values.keys()) if whole else ""
     if not said:
-        said = "; ".join(_said(term) for term in terms)
+        said = "; ".join(_said(term, held) for term in terms)
+    beside = [effect_words(other) for other in config if other != name and entry and entry.family
+              and other in CATALOGUE and CATALOGUE[other].family == entry.family]
+    if beside:
+        said += f", beside the config's {listed(beside)}"
     spread = [f"{symbol} ± {share(apart, 2)} from recording to recording"
               for symbol, apart in _between(terms, values).items() if apart > TOLD]
     rivals = tuple(dict.fromkeys(r for term in terms for r in (
@@ -215,12 +220,14 @@ def config_effects(models: Sequence[Model], effects: Sequence[NamedEffect], sett
     return found
 
 
-def _said(term: Term) -> str:
-    """Return a term with its number, or those of all recordings."""
+def _said(term: Term, held: Mapping[str, float]) -> str:
+    """Return a term with its number, or those of all recordings; with what the config has."""
     c = term.candidate
+    own = held.get(c.symbol, 0.0)
     if not term.each:
-        return f"{c.words}: {with_uncertainty(term.value, term.stddev, c.unit)}"
-    low, high = side_by_side(min(term.each), max(term.each), max(term.stddev, 1e-300), c.unit)
+        return f"{c.words}: {with_uncertainty(term.value + own, term.stddev, c.unit)}"
+    low, high = side_by_side(min(term.each) + own, max(term.each) + own,
+                             max(term.stddev, 1e-300), c.unit)
     return f"{c.words}: {low} to {high} over the recordings"
 
 
@@ -300,7 +307,8 @@ def wrong_numbers(model: Model, rig: Rig, policy: Policy) -> list[RigFinding]:
 def numbers_within(model: Model, rig: Rig, policy: Policy) -> list[RigFinding]:
     """Return the numbers that a recording knows better than the config, within their tolerance.
 
-    Twice as well, and apart by more than half a tolerance: what it then takes away is said.
+    Twice as well, and apart by more than half a tolerance, or by what the balance shows: what it
+    then takes away is said.
     """
     found = []
     for term in model.terms:
@@ -308,11 +316,23 @@ def numbers_within(model: Model, rig: Rig, policy: Policy) -> list[RigFinding]:
         if one is None or not np.isfinite(term.stddev) or not within_tolerance(term, rig, policy):
             continue
         key, configured, now = one
-        spread, sigma = rig.tolerance.log_spread(key), now.stddev / now.value
+        # With the config's areas: they are off in all of its numbers alike.
+        spread = rig.tolerance.log_spread(key)
+        sigma = np.sqrt(max((now.stddev / now.value) ** 2 - error_of_area(
+            rig, model.balance) ** 2, 0.0))
         moved = float(np.log(now.value / configured))
-        if not sigma < 0.5 * spread or abs(moved) <= max(policy.varied * sigma, 0.5 * spread):
+        shows = abs(moved) > 0.5 * spread or _share(term, model, configured) > policy.worse
+        if not sigma < 0.5 * spread or abs(moved) <= policy.varied * sigma or not shows:
             continue
         found.append(RigFinding(
             key, configured, now, np.nan, f"{beside_config(key, configured, now)}, "
             f"{within_words(moved, spread)}", TWINS.get(key, ())))
     return found
+
+
+def _share(term: Term, model: Model, configured: float) -> float:
+    """Return how much of a balance a number makes by which a term differs from the config's."""
+    name = term.candidate.name
+    off = term.value - (configured if name == "D_p" else 0.0)
+    made = np.concatenate([table.rows[table.good, table.places[name]] for table in model.tables])
+    return abs(off) * rms(made) / model.size

@@ -350,12 +350,15 @@ def _friction(found: Evidence, settings: Settings) -> Indicator:
     total = (2.0 * float(np.mean(found.pressures)) if len(found.pressures)
              else 2.0 * settings.rig.charge_pressure)
     values, covariance = found.part(*_parameters(found, laws.DRY))
-    named = [effect_words(name) for name in found.named(*laws.DRY)]
+    there = found.named(*laws.DRY)
+    configured = {f"{name}.{key}": value for name, numbers in settings.effects.items()
+                  if name in laws.DRY and name not in there for key, value in numbers.items()}
+    named = [effect_words(name) for name in there]
     at = listed(named)
     if "pressure_friction" in found.named(*laws.DRY):
         at += f", at p₁ + p₂ = {quantity(total, 'Pa', 3)}"
-    return _made("friction", lambda v: laws.dry_friction(v, total), values, covariance, (), at,
-                 unit)
+    return _made("friction", lambda v: laws.dry_friction(configured | v, total), values,
+                 covariance, (), at, unit)
 
 
 def _friction_share(friction: Indicator, settings: Settings) -> Indicator:

@@ -61,8 +61,7 @@ def compared(recordings: Sequence[Recording], references: Sequence[Recording],
             found = _by_filter(found, recordings, moving, settings)
     left_out = tuple(f"reference {line}, so it says nothing of the healthy machine"
                      for line in lines)
-    return replace(found, wall_s=time.perf_counter() - started,
-                   advice=left_out + found.advice).since(points)
+    return replace(found, advice=left_out + found.advice).since(points, started)
 
 
 def beside(machine: Machine, recordings: Sequence[Recording], settings: Settings) -> Diagnosis:
@@ -73,8 +72,9 @@ def beside(machine: Machine, recordings: Sequence[Recording], settings: Settings
     InputError
         If one side has no force balance.
     """
+    started = time.perf_counter()
     recordings, points = since_change(recordings, settings)
-    return against(machine, recordings, settings, machine.sources).since(points)
+    return against(machine, recordings, settings, machine.sources).since(points, started)
 
 
 def _by_filter(found: Diagnosis, recordings: Sequence[Recording], references: Sequence[Recording],

@@ -117,10 +117,11 @@ def diagnose(recordings: list[Recording], settings: Settings, held_out: Recordin
         If the recordings hold nothing that a model predicts, or numbers that break the
         calculation.
     """
+    started = time.perf_counter()
     with computing(*(recording.source for recording in recordings)):
         recordings, points = since_change(recordings, settings)
         return _diagnosed(recordings, settings, held_out, progress or (lambda text, share: None),
-                          hypothesis, without, vary).diagnosis.since(points)
+                          hypothesis, without, vary).diagnosis.since(points, started)
 
 
 class Answered(NamedTuple):

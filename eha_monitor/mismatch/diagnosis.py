@@ -1,5 +1,6 @@
 """What a diagnosis says; immutable records, made by :mod:`name`, :mod:`locate`, :mod:`show`."""
 
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
@@ -392,12 +393,18 @@ class Diagnosis:
     change_points: tuple[ChangePoint, ...] = ()
     blind: tuple[str, ...] = ()
 
-    def since(self, points: tuple[ChangePoint, ...]) -> "Diagnosis":
-        """Return it as the answer for what came after some changes, which its message names."""
+    def since(self, points: tuple[ChangePoint, ...], started: float) -> "Diagnosis":
+        """Return it as the answer for what came after some changes, which its message names.
+
+        Parameters
+        ----------
+        started : when all of it began, s of ``time.perf_counter``.
+        """
+        found = replace(self, wall_s=time.perf_counter() - started)
         if not points:
-            return self
+            return found
         said = "; ".join(one.statement for one in points)
-        return replace(self, change_points=points,
+        return replace(found, change_points=points,
                        message=f"{said}; in the state since: {self.message}")
 
 

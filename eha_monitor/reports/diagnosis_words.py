@@ -125,6 +125,12 @@ def next_steps(found: Diagnosis, bags: str) -> tuple[str, ...]:
     if found.verdict == "insufficient_data":
         steps.append("record strokes both ways at two speeds at least, each steady for a second "
                      "or so; a drive that hunts needs a lower position gain first")
+    if found.change_points:
+        steps.append("find out what happened to the machine then, and record it again: "
+                     f"`eha-monitor diagnose {bags}` judges what came after by itself")
+    if found.blind:
+        steps.append("diagnose the healthy recordings together, `eha-monitor diagnose A B C`: "
+                     f"what their {listed(found.blind)} balance holds hides changes of it")
     steps += [effect.rig_check for effect in found.effects if effect.rig_check][:1]
     if found.references and found.changes:
         steps += [step for change in found.changes if (step := _look_for(change))]
