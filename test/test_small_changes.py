@@ -13,7 +13,7 @@ from machine_tools import healthy_machine
 
 from eha_monitor.balances.candidates import Scale, candidates_of
 from eha_monitor.balances.changed import against
-from eha_monitor.balances.course import CHAMBER_1, course_of
+from eha_monitor.balances.course import IN_TURN, course_of
 from eha_monitor.balances.judge import judge
 from eha_monitor.balances.together import of_one_machine
 from eha_monitor.balances.viscous import steadier
@@ -122,7 +122,7 @@ def test_the_pumped_chamber_is_the_machines(settings, valves):
     healthy = [pumped(seed, valves=valves) for seed in range(6)]
     for made in (healthy, healthy[:1]):
         courses = of_one_machine([course_of(one, settings) for one in made], settings.rig)
-        assert all((course.oil != CHAMBER_1) == valves for course in courses)
+        assert all((course.oil == IN_TURN) == valves for course in courses)
     found = said(healthy_machine(healthy, settings), pumped(28, leak=2.4e-11, valves=valves),
                  settings)
     (change,) = found.changes

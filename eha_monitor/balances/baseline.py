@@ -12,7 +12,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from eha_monitor.balances.candidates import pressure_rate
 from eha_monitor.balances.course import Course, course_of, known_of
 from eha_monitor.balances.least_squares import (
     independent,
@@ -20,6 +19,8 @@ from eha_monitor.balances.least_squares import (
     signed_solution,
     unexcluded,
 )
+from eha_monitor.balances.policy import POLICY
+from eha_monitor.balances.table import areas_apart, flow_columns
 from eha_monitor.balances.together import of_one_machine
 from eha_monitor.errors import InputError
 from eha_monitor.physics.effects import CATALOGUE
@@ -139,7 +140,8 @@ def baseline(recording: Recording, settings: Settings) -> Baseline:
     if columns is None:
         missing["flow"] = "needs the channels omega, p1 and p2, and rig.area_1 and area_2"
     else:
-        flow = fitted(course, course.counted("flow"), *columns)
+        flow = fitted(course, course.counted("flow"), *columns,
+                      off=areas_apart(course, settings.rig))
         if flow is None:
             missing["flow"] = "too little motion"
     return Baseline(recording.source, force, flow, missing, leaning(course, settings.rig))
@@ -198,31 +200,21 @@ def force_fit(course: Course, rig: Rig, known: np.ndarray | float = 0.0,
                   [course.direction, *bent] if held else bent, beside)
 
 
-def flow_columns(course: Course, rig: Rig) -> tuple | None:
-    """Return the flow that the piston takes, and the columns that make it; None without channels.
-
-    With equal areas the mean of both chambers; else the chamber that the pump fills, as of
-    chamber 1 (a valve and an accumulator take care of the other).
-    """
-    if course.omega is None or course.p1 is None or course.p2 is None or not (
-            rig.area_1 and rig.area_2):
-        return None
-    return rig.area_1 * course.v, (
-        ("D_p", "m³/rad", "pump displacement", 1, course.omega),
-        ("C_L", "m³/(s·Pa)", "leakage", 1, course.p2 - course.p1),
-        ("C_h", "m³/Pa", "compliance of a chamber", 1, -pressure_rate(course)))
-
-
 def fitted(course: Course, counted: np.ndarray, y: np.ndarray, columns: tuple,
-           bent: Sequence[np.ndarray] = (), beside: Sequence[np.ndarray] = ()
-           ) -> BalanceFit | None:
+           bent: Sequence[np.ndarray] = (), beside: Sequence[np.ndarray] = (),
+           off: Sequence[np.ndarray] = (), floor: float = np.inf) -> BalanceFit | None:
     """Fit columns (name, unit, words, sign, values) to y on the counted samples.
 
     The standard deviations are those of as many independent samples as the residual has, and
     contain how far a number moves beside each way in which the law may be ``bent``, where that
     fits better; and what may stand ``beside``, (m,) each as large as one prior deviation of it, as
-    far as the data do not exclude it.
+    far as the data do not exclude it.  By what numbers of the config are ``off`` is fitted too,
+    (m,) each as large as one deviation, and is no term.  Beyond the ``floor``, rms that the
+    sensors alone leave, what is left is a law that is missing, and a share of it may look like any
+    column however long it is recorded.
     """
+    told = len(columns)
+    columns = (*columns, *(("", "", "", 0, column) for column in off))
     names, units, words, signs, values = zip(*columns, strict=True)
     signs, k = np.array(signs), len(names)
     counted = course.compared(counted)
@@ -233,18 +225,22 @@ def fitted(course: Course, counted: np.ndarray, y: np.ndarray, columns: tuple,
                        for some in (bent, beside))
     block = (np.flatnonzero(counted) * course.step / BLOCK).astype(int)
     whole = rows.T @ rows
-    w = signed_solution(whole[1:, 1:], whole[1:, 0], signs)
-    left = np.full(len(counted), np.nan)
-    left[counted] = rows[:, 0] - rows[:, 1:] @ w
-    correlated = independent(left)
+    left, noise, known = np.full(len(counted), np.nan), 0.0, np.arange(1 + told, 1 + k)
+    for _ in range(1 + bool(off)):
+        whole[known, known] += noise  # as one more sample that says 0, with a deviation of 1
+        w = signed_solution(whole[1:, 1:], whole[1:, 0], signs)
+        left[counted] = rows[:, 0] - rows[:, 1:] @ w
+        correlated = independent(left)
+        effective = max(counted.sum() / correlated, k + 1.0)
+        spread = float(np.nanmean(left**2)) * effective / max(effective - k, 1.0)
+        noise = spread * correlated
     held = (signs != 0) & (w == 0.0)
-    effective = max(counted.sum() / correlated, k + 1.0)
     variance = np.full(k, 0.0)
-    spread = float(np.nanmean(left**2)) * effective / max(effective - k, 1.0)
     free = np.flatnonzero(~held)
-    variance[free] = np.diag(inverse_of(whole[1:, 1:][np.ix_(free, free)])) * spread * correlated
+    form = POLICY.coherent**2 * max(float(np.nanmean(left**2)) - floor**2, 0.0) * counted.sum()
+    variance[free] = np.diag(inverse_of(whole[1:, 1:][np.ix_(free, free)])) * (noise + form)
     unknown = ~np.isfinite(np.diag(inverse_of(whole[1:, 1:])))
-    alone = spread * correlated / np.maximum(np.diag(whole)[1:], 1e-300)
+    alone = noise / np.maximum(np.diag(whole)[1:], 1e-300)
     shift = np.zeros(k)
     for way in ways:
         more = np.column_stack([rows, way])
@@ -255,8 +251,7 @@ def fitted(course: Course, counted: np.ndarray, y: np.ndarray, columns: tuple,
             shift = np.maximum(shift, np.abs(other[:k] - w))
     variance[free] += shift[free] ** 2
     for column in nuisances:
-        moves, mean, its, _ = unexcluded(rows[:, 1:][:, free], column, left[counted],
-                                         spread * correlated)
+        moves, mean, its, _ = unexcluded(rows[:, 1:][:, free], column, left[counted], noise)
         variance[free] += moves**2 * (its + mean**2)
     stddev = np.sqrt(np.where(unknown, np.inf, np.where(held, alone, variance)))
     size = max(float(np.std(rows[:, 0])), 1e-300)
@@ -271,7 +266,7 @@ def fitted(course: Course, counted: np.ndarray, y: np.ndarray, columns: tuple,
         unseen.append(np.sum((rows[out, 0] - rows[out, 1:] @ other) ** 2))
     return BalanceFit(
         tuple(Term(*one) for one in zip(names, units, words, w.tolist(), stddev.tolist(),
-                                        held.tolist(), strict=True)),
+                                        held.tolist(), strict=True))[:told],
         int(counted.sum()), float(effective), float(np.sqrt(np.nanmean(left**2)) / size),
         float(np.sqrt(np.sum(unseen) / compared) / size) if compared else float("nan"))
 

@@ -404,7 +404,7 @@ def _pump_difference(course: Course, rig: Rig) -> np.ndarray:
     return course.pumped_side * pumped_pressure(course, rig)
 
 
-def _as_of_chamber_1(course: Course) -> np.ndarray | float:
+def as_of_chamber_1(course: Course) -> np.ndarray | float:
     """Return what a flow out of the filled chamber is worth at chamber 1's area, (m,)."""
     return 1.0 if course.ratio == 1.0 else np.where(course.pumped_side > 0.0, 1.0,
                                                     1.0 / course.ratio)
@@ -453,7 +453,7 @@ def flow_candidates(scale: Scale, rig: Rig) -> tuple[Candidate, ...]:
         return Candidate(name, effect, "flow", unit, words, sign, column, **more)
 
     def crossing(of):
-        return lambda c, r: -of(c.p1 - c.p2) * _as_of_chamber_1(c)
+        return lambda c, r: -of(c.p1 - c.p2) * as_of_chamber_1(c)
 
     return (
         one("D_p", "pump_displacement", "m³/rad", "pump displacement", 1, lambda c, r: c.omega,
@@ -476,7 +476,7 @@ def flow_candidates(scale: Scale, rig: Rig) -> tuple[Candidate, ...]:
             crossing(lambda dp: dp / (dp**2 + LAMINAR**2) ** 0.25), family="gap", symbol="c",
             shape=(("dp_0", LAMINAR),)),
         one("L_1", "external_leakage", "m³/(s·Pa)", "leakage to ambient", 1,
-            lambda c, r: -c.pumped_side * pumped_pressure(c, r) * _as_of_chamber_1(c),
+            lambda c, r: -c.pumped_side * pumped_pressure(c, r) * as_of_chamber_1(c),
             family="gap", symbol="L_1", variant=True),
         one("L_1a", "external_leakage", "m³/(s·Pa)", "leakage of chamber 1 to ambient", 1,
             lambda c, r: c.of_filled(-_above_ambient(c.p1, c, r), np.zeros(len(c))),
@@ -517,6 +517,7 @@ def drive_candidates(scale: Scale, rig: Rig) -> tuple[Candidate, ...]:
         # as a smaller gain.
         one("k_d", "drive_gain", "1", "gain of the drive beyond the config's", 0,
             lambda c, r: c.wanted, always=rig.position_gain is not None, symbol="k", power=1.0,
+            configured=1.0,  # it is a share of the config's
             twins=("command_delay",) if rig.position_gain else ()),
     ]
     for i, top in enumerate(scale.tops, start=1):

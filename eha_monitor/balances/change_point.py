@@ -166,8 +166,10 @@ class _Steps:
         # Of what does as well, what every model has: it is the plainest.
         name = next(name for name in gains if gains[name].max() > most - policy.alone)
         place = self.range[ties.largest(gains[name])]
-        value, chance, stddev, least = self.fitted(name, place)
-        if abs(value) < policy.owed * chance or least:
+        own, value, chance, stddev, least = self.fitted(name, place)
+        # As oil warms, and a gain differs by the shape of a motion, a number moves a little.
+        little = policy.between if self.of[name].of_oil else policy.worse
+        if abs(value) < max(policy.owed * chance, little * own) or least:
             return None
         start, stop = self.edges[[place - 1, place + 1]].tolist()
         return _told(self.table.source, self.of[name], (start, stop), float(gains[name].max()),
@@ -215,8 +217,8 @@ class _Steps:
         return ([0, *self.drift, *own], np.append(none, table.signs[own]),
                 np.append(none, table.least[own]))
 
-    def fitted(self, name: str, place: int) -> tuple[float, float, float, bool]:
-        """Return a parameter's step before a block, its deviation by chance, and whole.
+    def fitted(self, name: str, place: int) -> tuple[float, float, float, float, bool]:
+        """Return a parameter before a block, its step there, deviation by chance, and whole.
 
         The latter holds what a missing law may look like as well.  And whether the parameter is
         less than nothing since.
@@ -233,7 +235,8 @@ class _Steps:
         left, inverse = float(np.nanmean(rest**2)), inverse_of(gram[1:, 1:])[-1, -1]
         chance = left * independent(rest) * inverse
         form = policy.coherent**2 * max(left - table.floor**2, 0.0) * table.n * inverse
-        return (float(w[-1]), float(np.sqrt(chance)), float(np.sqrt(chance + form)),
+        return (abs(float(w[-2]) + c.configured), float(w[-1]), float(np.sqrt(chance)),
+                float(np.sqrt(chance + form)),
                 bool(c.sign) and c.sign * float(w[-2:].sum()) < c.least)
 
 

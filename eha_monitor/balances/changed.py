@@ -230,7 +230,8 @@ def _in_words(moved: Moved, settings: Settings, oils: tuple[Stiffness, Stiffness
     oils : what the oil of the machine and of the recordings is by itself.
     """
     rig, c = settings.rig, moved.candidate
-    held = 0.0 if c.name == "dM" else c.configured  # a mass as what is beyond the config's
+    # A mass and a gain as what is beyond the config's.
+    held = 0.0 if c.name in ("dM", "k_d") else c.configured
     pair = (moved.machine + held, moved.spread), (moved.here + held, moved.stddev)
     if c.sign > 0:  # what cannot be negative and is so by chance is nil
         pair = tuple((max(value, 0.0) if POLICY.varied * stddev > -value else value, stddev)

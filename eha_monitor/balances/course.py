@@ -52,7 +52,9 @@ COMMANDED, MEASURED = 0.005, 0.05  # of its size: a smaller demand has no sign; 
 TRAVEL = 20.0  # times the position's noise: less is no motion
 DESIGNS = 64  # low-passes that are kept
 CHANNELS = ("x", "x_d", "omega", "omega_d", "p1", "p2", "force")
-IN_TURN, CHAMBER_1, BOTH = "in_turn", "chamber_1", "both"  # whose oil a pump presses
+# Whose oil a pump presses: of the chamber that it is asked to fill, or that has the higher
+# pressure, always of chamber 1, of both.
+IN_TURN, HIGHER, CHAMBER_1, BOTH = "in_turn", "higher_pressure", "chamber_1", "both"
 CLOSED = 0.75  # of what the higher pressure rises, the lower one falls
 ROUNDING = 1e-9  # of its size: what changes less keeps one value
 GAUGE = 0.5  # of the ambient pressure: a reading below is no absolute pressure
@@ -87,9 +89,11 @@ class Course:
     ratio : area of chamber 2 over that of chamber 1; None of a rig without areas.
     good : (m,) bool, measured on all channels and away from stops.
     moving : (m,) bool, fast enough for dry friction to have a sign.
-    oil : whose oil the pump's flow presses, ``IN_TURN``, ``CHAMBER_1`` or ``BOTH``, the same in
-        all recordings of a machine (:func:`~eha_monitor.balances.together.of_one_machine`); ""
-        where the motion itself is to say so.
+    oil : whose oil the pump's flow presses, ``IN_TURN``, ``HIGHER``, ``CHAMBER_1`` or ``BOTH``,
+        the same in all recordings of a machine
+        (:func:`~eha_monitor.balances.together.of_one_machine`); "" where the motion itself is to
+        say so.
+    apart : share by which the pump moves chamber 2 farther than the config's areas say.
     viscosity : of the oil at the temperature that the recording measures, over that at the
         reference temperature (``viscosity`` of the config); NaN where no channel has it.
     effects : of the config, by name, SI; they are in ``known``.
@@ -120,6 +124,7 @@ class Course:
     good: np.ndarray
     moving: np.ndarray
     oil: str = ""
+    apart: float = 0.0
     viscosity: float = np.nan
     effects: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
 
@@ -196,15 +201,24 @@ class Course:
 
     @cached_property
     def pumped_side(self) -> np.ndarray:
-        """Chamber that the pump fills, (m,): 1, -1, or 0 before the first demand.
+        """Chamber whose oil the pump presses, (m,): 1, -1, or 0 before the first demand.
 
         Behind valves it is the demand that says so, not the pressure: that falls at each switch.
+        Where check valves feed the chamber of the lower pressure, it is the other one, whichever
+        way the pump turns: a load or a source's own force may drive it.
         """
         if self.oil == CHAMBER_1:
             return np.ones(len(self))
-        if self.demand is None or self.ratio == 1.0:
+        if self.demand is None or self.ratio == 1.0 or self.oil == HIGHER:
             return np.where(self.p1 > self.p2, 1.0, -1.0)
         return self.commanded
+
+    def taken(self, rig: Rig) -> np.ndarray:
+        """Return the flow that the piston takes, as of chamber 1, (m,) m³/s."""
+        flow = rig.area_1 * self.v
+        if self.apart and not self.mean_of_both:
+            flow = np.where(self.pumped_side < 0.0, flow / (1.0 + self.apart), flow)
+        return flow
 
     def of_filled(self, one: np.ndarray, two: np.ndarray) -> np.ndarray:
         """Return what holds for the chamber that the pump fills, or the mean of both chambers."""

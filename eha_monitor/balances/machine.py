@@ -194,7 +194,7 @@ class Machine:
     areas : of the rig, m^2; None of a file that does not hold them.
     mass, displacement : of the config that its balances were made with, kg and m^3/rad; None of a
         file that does not hold them, or of a rig without.
-    oil : whose oil its pump presses (:class:`Course`).
+    oil, apart : whose oil its pump presses, and how its areas differ (:class:`Course`).
     viscosity : of the oil in each recording, over that at the reference temperature; empty where
         not all of them measure its temperature.
     lowest : absolute pressure of either chamber in each recording, (2, r) Pa
@@ -216,6 +216,7 @@ class Machine:
     mass: float | None = None
     displacement: float | None = None
     oil: str = ""
+    apart: float = 0.0
     viscosity: tuple[float, ...] = ()
     lowest: tuple[tuple[float, ...], tuple[float, ...]] = ((), ())
     effects: dict[str, dict[str, float | str | list[float]]] | None = None
@@ -242,7 +243,7 @@ class Machine:
 
     def moved(self, courses: Sequence[Course]) -> list[Course]:
         """Return motions of it with the chamber that its pump acts on."""
-        return [replace(course, oil=self.oil) for course in courses]
+        return [replace(course, oil=self.oil, apart=self.apart) for course in courses]
 
     def to_dict(self) -> dict:
         """Return the JSON form, key ``machine``."""
@@ -264,7 +265,8 @@ class Machine:
             "odd": self.odd,
             "stiffness": self.stiffness, "areas": self.areas, "mass": self.mass,
             "displacement": self.displacement, "scale": self.scale,
-            "oil": self.oil, "viscosity": self.viscosity, "lowest": self.lowest,
+            "oil": self.oil, "apart": self.apart, "viscosity": self.viscosity,
+            "lowest": self.lowest,
             "effects": self.effects, "numbers": self.numbers,
             "policy": self.policy, "balances": self.balances})
 
@@ -342,7 +344,8 @@ def machine_from(courses: Sequence[Course], rig: Rig, vary: Sequence[str], witho
     return Machine(rig.name, sources, scale, bool(varied), pieces, tuple(found),
                    _odd(sources, found, policy), policy, stiffness_of(courses, rig),
                    (rig.area_1, rig.area_2), rig.mass, rig.pump_displacement,
-                   courses[0].oil, viscosity if np.isfinite(viscosity).all() else (),
+                   courses[0].oil, courses[0].apart,
+                   viscosity if np.isfinite(viscosity).all() else (),
                    lowest, {name: dict(one) for name, one in courses[0].effects.items()},
                    {name: value for name in NUMBERS
                     if (value := getattr(rig, name)) is not None})

@@ -20,7 +20,6 @@ from eha_monitor.balances.baseline import (
     Term,
     falling,
     fitted,
-    flow_columns,
     force_fit,
 )
 from eha_monitor.balances.bends import FALL
@@ -31,6 +30,7 @@ from eha_monitor.balances.course import (
     course_of,
     slope,
 )
+from eha_monitor.balances.table import areas_apart, flow_columns
 from eha_monitor.balances.together import of_one_machine, pooled
 from eha_monitor.errors import InputError
 from eha_monitor.estimation.results import (
@@ -148,7 +148,8 @@ def compressibility(course: Course, rig: Rig) -> Term | None:
             fit = fitted(course, course.counted("flow"), flow, (
                 pump, leakage, ("1/beta_e", "1/Pa", "compressibility", 1, -taken), *more),
                 (course.a, course.direction, np.ones(len(course))),
-                (course.skew * rig.area_1 * course.a,))
+                (course.skew * rig.area_1 * course.a,), areas_apart(course, rig),
+                course.floor("flow", rig))
             if fit is not None and fit["1/beta_e"].determined and (
                     not more or fit["b"].determined):
                 found.append(fit)

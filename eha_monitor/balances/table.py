@@ -6,7 +6,7 @@ from functools import cached_property
 
 import numpy as np
 
-from eha_monitor.balances.candidates import Candidate, falls_of
+from eha_monitor.balances.candidates import Candidate, as_of_chamber_1, falls_of, pressure_rate
 from eha_monitor.balances.course import Course, slope
 from eha_monitor.balances.least_squares import independent, signed_solution, weights_of
 from eha_monitor.balances.policy import Policy
@@ -222,8 +222,38 @@ def tables_of(courses: Sequence[Course], rig: Rig, balance: str,
 
 def left_side(course: Course, rig: Rig, balance: str) -> np.ndarray:
     """Return what a balance explains: force, flow that the piston takes, pump speed; (m,)."""
-    return {"force": lambda: course.force, "flow": lambda: rig.area_1 * course.v,
+    return {"force": lambda: course.force, "flow": lambda: course.taken(rig),
             "drive": lambda: course.omega}[balance]()
+
+
+def flow_columns(course: Course, rig: Rig) -> tuple | None:
+    """Return the flow that the piston takes, and the columns that make it; None without channels.
+
+    With equal areas the mean of both chambers; else the chamber that the pump fills, as of
+    chamber 1 (a valve and an accumulator take care of the other).
+    """
+    if course.omega is None or course.p1 is None or course.p2 is None or not (
+            rig.area_1 and rig.area_2):
+        return None
+    return course.taken(rig), (
+        ("D_p", "m³/rad", "pump displacement", 1, course.omega),
+        ("C_L", "m³/(s·Pa)", "leakage", 1,
+         (course.p2 - course.p1) * as_of_chamber_1(course)),
+        ("C_h", "m³/Pa", "compliance of a chamber", 1, -pressure_rate(course)))
+
+
+def areas_apart(course: Course, rig: Rig) -> tuple[np.ndarray, ...]:
+    """Return by how much more the pump moves chamber 2 where its area is off by a tolerance, (m,).
+
+    As of chamber 1: half a per cent of the flow, more than oil takes up under a spring's load.
+    Nothing where both chambers are compared at once.  It stands on the pump's side of the balance:
+    on that of the piston a share of -1 would leave nothing to explain.
+    """
+    if course.mean_of_both:
+        return ()
+    flow, pump = rig.area_1 * course.v[course.good], course.omega[course.good]
+    moved = float(flow @ pump) / float(pump @ pump) * course.omega
+    return (np.where(course.pumped_side < 0.0, rig.tolerance.log_spread("area_2") * moved, 0.0),)
 
 
 def doubts_of(course: Course, rig: Rig, balance: str, whole: np.ndarray) -> list[np.ndarray]:
@@ -237,7 +267,7 @@ def doubts_of(course: Course, rig: Rig, balance: str, whole: np.ndarray) -> list
         found.append(rig.tolerance.log_spread("area_1") * whole)
     if balance == "force" and course.p2 is not None and rig.area_2 != rig.area_1:
         found.append(rig.tolerance.log_spread("area_2") * rig.area_2 * course.p2)
-    if balance == "flow" and rig.area_2 != rig.area_1:
+    if balance == "flow" and not course.mean_of_both:
         found.append(rig.tolerance.log_spread("area_2") * np.where(
             course.pumped_side < 0.0, whole, 0.0))
     return found
