@@ -325,7 +325,8 @@ def _source(machine: Machine, courses: Sequence[Course], rig: Rig) -> Change | N
 
     By Student's t for one further recording, and by more than ``LOWEST`` of itself.  What feeds
     both has changed where both have; one alone has its own make-up valve, or sensor.  Behind a
-    valve, and where chambers are closed to each other, a load moves the lower pressure.
+    valve, and where chambers are closed to each other, a load moves the lower pressure.  Nor has a
+    source risen below which a chamber still comes: a load leaves it less time there.
     """
     if machine.oil == BOTH or machine.pieces or not all(course.has_flow for course in courses):
         return None
@@ -337,7 +338,9 @@ def _source(machine: Machine, courses: Sequence[Course], rig: Rig) -> Change | N
         of = float(np.mean(row))
         spread = max(float(np.std(row, ddof=1)), LEAST_SPREAD * of)
         t, limit = t_of_next(here - of, spread, len(row), machine.policy.false)
-        if abs(t) > limit and abs(here - of) > LOWEST * of:
+        still = here > of and any(
+            course.as_low(rig, chamber, 0.5 * (here + of)) for course in courses)
+        if abs(t) > limit and abs(here - of) > LOWEST * of and not still:
             off[chamber] = (of, here, spread)
         else:
             alike.append(chamber)

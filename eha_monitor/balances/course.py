@@ -33,6 +33,7 @@ from eha_monitor.settings.monitor import Settings
 from eha_monitor.settings.rig import Rig
 
 LOW = 0.05  # of the samples of an emptier chamber: what stands for its lowest pressure
+AWHILE = 1e-3  # of the samples: a pressure that is reached, and not by noise
 EMPTY = 0.1  # of the samples in which a chamber is the emptier one, for that to be said
 BAND = 5.0  # Hz: pass band of every balance; wider ones are for motions beyond it
 MOTION = 4.0  # bands: pass band of the motion
@@ -276,6 +277,11 @@ class Course:
         # Which one is emptier a zero that is off says wrongly where both are as low.
         return tuple(float(np.quantile(p, LOW * part)) if (part := emptier.mean()) > EMPTY
                      else np.nan for p, emptier in ((p1, p1 < p2), (p2, p2 < p1)))
+
+    def as_low(self, rig: Rig, chamber: int, pressure: float) -> bool:
+        """Tell whether the absolute pressure of a chamber comes below another, Pa, for a while."""
+        p = self.absolute(self.p1 if chamber == 1 else self.p2, rig)[self.good]
+        return bool(np.mean(p < pressure) > AWHILE)
 
     def floor(self, balance: str, rig: Rig) -> float:
         """Return the rms that the sensors alone leave in a balance in its band, SI."""
