@@ -19,7 +19,12 @@ from eha_monitor.balances.candidates import (
 from eha_monitor.balances.contact import contacts_of
 from eha_monitor.balances.course import NO_MOTION, Course, course_of, courses_of
 from eha_monitor.balances.least_squares import rms
-from eha_monitor.balances.machine import Machine, machine_from, pressure_varied
+from eha_monitor.balances.machine import (
+    Machine,
+    machine_from,
+    of_those_that_belong,
+    pressure_varied,
+)
 from eha_monitor.balances.mean_pressure import leak_or_source
 from eha_monitor.balances.model import LOAD, Model, of_machine, of_recordings, on_held_out
 from eha_monitor.balances.named import (
@@ -126,6 +131,8 @@ def answered(recordings: Sequence[Recording], settings: Settings, asked: Asked =
             f"{one.source} does not belong: {one.why}" for one in machine.odd)) + left_out,
         remarks=() if machine is None else lines_of(machine),
         considered=untestable, machine=machine,
+        belonging=None if machine is None else of_those_that_belong(
+            machine, courses, rig, asked.vary, asked.without),
         agreement=_agreement(models, courses), policy=policy.to_dict(),
         duration_s=sum(one.duration for one in recordings),
         wall_s=time.perf_counter() - started)

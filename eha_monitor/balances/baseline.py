@@ -19,7 +19,6 @@ from eha_monitor.balances.least_squares import (
     signed_solution,
     unexcluded,
 )
-from eha_monitor.balances.policy import POLICY
 from eha_monitor.balances.table import areas_apart, flow_columns
 from eha_monitor.balances.together import of_one_machine
 from eha_monitor.errors import InputError
@@ -202,16 +201,14 @@ def force_fit(course: Course, rig: Rig, known: np.ndarray | float = 0.0,
 
 def fitted(course: Course, counted: np.ndarray, y: np.ndarray, columns: tuple,
            bent: Sequence[np.ndarray] = (), beside: Sequence[np.ndarray] = (),
-           off: Sequence[np.ndarray] = (), floor: float = np.inf) -> BalanceFit | None:
+           off: Sequence[np.ndarray] = ()) -> BalanceFit | None:
     """Fit columns (name, unit, words, sign, values) to y on the counted samples.
 
     The standard deviations are those of as many independent samples as the residual has, and
     contain how far a number moves beside each way in which the law may be ``bent``, where that
     fits better; and what may stand ``beside``, (m,) each as large as one prior deviation of it, as
     far as the data do not exclude it.  By what numbers of the config are ``off`` is fitted too,
-    (m,) each as large as one deviation, and is no term.  Beyond the ``floor``, rms that the
-    sensors alone leave, what is left is a law that is missing, and a share of it may look like any
-    column however long it is recorded.
+    (m,) each as large as one deviation, and is no term.
     """
     told = len(columns)
     columns = (*columns, *(("", "", "", 0, column) for column in off))
@@ -237,8 +234,7 @@ def fitted(course: Course, counted: np.ndarray, y: np.ndarray, columns: tuple,
     held = (signs != 0) & (w == 0.0)
     variance = np.full(k, 0.0)
     free = np.flatnonzero(~held)
-    form = POLICY.coherent**2 * max(float(np.nanmean(left**2)) - floor**2, 0.0) * counted.sum()
-    variance[free] = np.diag(inverse_of(whole[1:, 1:][np.ix_(free, free)])) * (noise + form)
+    variance[free] = np.diag(inverse_of(whole[1:, 1:][np.ix_(free, free)])) * noise
     unknown = ~np.isfinite(np.diag(inverse_of(whole[1:, 1:])))
     alone = noise / np.maximum(np.diag(whole)[1:], 1e-300)
     shift = np.zeros(k)

@@ -33,6 +33,7 @@ from eha_monitor.settings.hypothesis import Hypothesis
 from eha_monitor.settings.rig import Rig
 
 BALANCES = ("force", "flow", "drive")
+FORCE_OF_SENSORS = ("pressure_offset", "pressure_scale")  # they make a constant force as well
 SIDES = {"force": "N", "flow": "m³/s", "drive": "rad/s"}
 # Grids of shapes, as shares of the usual travel or speed; between two neighbours an error changes
 # by less than what a name owes.
@@ -192,7 +193,8 @@ class Scale:
     ``origin`` and ``span`` hold all of them, ``travel`` and ``speed`` are usual, ``slowest`` is
     the top speed of the slowest; ``tops`` speeds of the pump, one for each of ``TOPS``.
     ``turns`` : each of them moves both ways; else a load of its own hides dry friction.
-    ``relaxed`` : where a spring is, that of the config, or one more than its is at the origin.
+    ``relaxed`` : where a spring is, that of the config; of another the middle of the motion, where
+    its rate moves no load.
     ``contacts`` : see :func:`contact.contacts_of`.
     """
 
@@ -219,7 +221,8 @@ class Scale:
                    min(c.speed for c in courses),
                    tuple(np.quantile(np.concatenate(pumps), TOPS).tolist()) if pumps else (),
                    all(turned(c) for c in courses if c.moving.any()),
-                   courses[0].effects.get("spring_load", {}).get("x_0", low), contacts)
+                   courses[0].effects.get("spring_load", {}).get(
+                       "x_0", 0.5 * (low + high)), contacts)
 
 
 BOTH = 0.05  # of the moving samples: a recording that turns round has more either way
@@ -276,7 +279,8 @@ def force_candidates(scale: Scale, rig: Rig) -> tuple[Candidate, ...]:
         one("B_t", "viscous_drift", "N·s/m", "viscous damping beyond the mean at the end", 0,
             lambda c, r: c.v * later(c), setting=True, power=1.0),
         one("F_0", "constant_load", "N", "constant load", 0, lambda c, r: np.ones(len(c)),
-            always=True, setting=scale.turns, symbol="F_0", odd=False),
+            always=True, setting=scale.turns, symbol="F_0", odd=False,
+            twins=FORCE_OF_SENSORS if rig.area_1 and rig.area_2 else ()),
         one("F_c", "coulomb_friction", "N", "dry friction", 1, lambda c, r: c.direction,
             family="dry", variant=True, symbol="F_c", shape=(("v_e", standing),)),
         one("mu", "pressure_friction", "m²", "dry friction per sum of pressures", 1,

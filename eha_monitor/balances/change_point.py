@@ -34,11 +34,11 @@ from eha_monitor.mismatch.diagnosis import ChangePoint, Value
 from eha_monitor.quantity import with_uncertainty
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings.monitor import Settings
+from eha_monitor.words import effect_words, listed
 
 PLAIN = ("B", "F_0", "F_c", "D_p", "C_h", "L", "k_d")  # that may change, in the model or not
 BLOCKS = 64  # at most: those of a long recording are joined
 FEWEST, LEAST = 3, 0.15  # blocks on either side, and their share
-SENSORS = {"F_0": "or the zero of a pressure sensor", "D_p": "or a scale of position or speed"}
 DAMPING, DRIFT = "B", "viscous_drift"
 BEYOND = " beyond the config's"
 
@@ -90,8 +90,8 @@ def _told(source: str, c: Candidate, between: tuple[float, float], gain: float,
           step: tuple[float, float]) -> ChangePoint:
     """Return the record of a step, (value, stddev), that takes ``gain`` log units of the error."""
     words, (value, stddev), (start, stop) = c.words.removesuffix(BEYOND), step, between
-    if c.name in SENSORS:
-        words += f" ({SENSORS[c.name]})"
+    if c.twins:
+        words += f" (or {listed([effect_words(one) for one in c.twins], 'or')})"
     return ChangePoint(
         source, start, stop, c.effect, c.symbol or c.name, c.balance,
         Value(value, stddev, c.unit), 1.0 - float(np.exp(-gain)),

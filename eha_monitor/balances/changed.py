@@ -189,7 +189,7 @@ def shares_of(changes: Sequence[Change], balances: Iterable[str]) -> dict[str, f
 def _at_zero(one: JudgedBalance) -> JudgedBalance:
     """Return a balance whose constant load is that at x = 0, see :func:`model.relaxed_at_zero`.
 
-    The column of a spring that the config does not have is relaxed where the motion begins.
+    The column of a spring that the config does not have is relaxed amid the motion.
     """
     spring = next((c for c in one.table.candidates if c.name == "k"
                    and c.effect == "spring_load" and not c.configured), None)

@@ -13,7 +13,6 @@ from eha_monitor.balances.course import Course
 from eha_monitor.balances.least_squares import weights_of
 from eha_monitor.balances.machine import Machine, MachineBalance, oil_of, usual_of
 from eha_monitor.balances.model import LOAD
-from eha_monitor.balances.named import FORCE_OF_SENSORS
 from eha_monitor.balances.policy import POLICY, Policy
 from eha_monitor.balances.scatter import Amplitudes, Scatter, amplitudes_of, limit_of, ridge_of
 from eha_monitor.balances.table import Table, pooled_table, tables_of
@@ -647,4 +646,4 @@ def _load(machine: Machine, one: MachineBalance, table: Table, now: dict[str, fl
     c = replace(table.candidates[table.places[own[0]] - 1], name=load.name)
     spread = max(spread, float(np.median(load.stddev)))
     return Moved(c, here, float(np.hypot(stddev, spread)), mean, spread, float(t), limit, 0.0,
-                 FORCE_OF_SENSORS, apart)
+                 c.twins, apart)

@@ -289,14 +289,7 @@ def healthy_machine_of(courses: Sequence[Course], settings: Settings, policy: Po
     courses = of_one_machine(courses, settings.rig, policy)
     if len(courses) >= policy.fewest:
         machine = machine_from(courses, settings.rig, (), (), policy)
-        strange = {one.place for one in machine.odd}
-        if not strange or len(courses) - len(strange) < policy.fewest:
-            return machine
-        # One of another machine would widen what healthy means until nothing has changed.
-        kept = machine_from([course for i, course in enumerate(courses) if i not in strange],
-                            settings.rig, (), (), policy)
-        return replace(kept, odd=tuple(replace(one, why=f"left out: {one.why}")
-                                       for one in machine.odd))
+        return of_those_that_belong(machine, courses, settings.rig, (), ())
     seconds = sum(float(course.good.sum()) * course.dt for course in courses)
     if seconds < PIECES * SHORTEST_S:
         raise InputError(
@@ -304,6 +297,21 @@ def healthy_machine_of(courses: Sequence[Course], settings: Settings, policy: Po
             f"{PIECES * SHORTEST_S:g} s of motion in them to cut in parts, found {seconds:.1f} s")
     return machine_from([part for one in courses for part in _parts(
         one, -(-PIECES // len(courses)))], settings.rig, (), (), policy, pieces=True)
+
+
+def of_those_that_belong(machine: Machine, courses: Sequence[Course], rig: Rig,
+                         vary: Sequence[str], without: Sequence[str]) -> Machine:
+    """Return a machine without the recordings that differ, where enough are left.
+
+    One of another machine would widen what healthy means until nothing has changed.
+    """
+    strange, policy = {one.place for one in machine.odd}, machine.policy
+    if not strange or len(courses) - len(strange) < policy.fewest:
+        return machine
+    kept = machine_from([course for i, course in enumerate(courses) if i not in strange],
+                        rig, vary, without, policy)
+    return replace(kept, odd=tuple(replace(one, why=f"left out: {one.why}")
+                                   for one in machine.odd))
 
 
 def _parts(course: Course, count: int) -> list[Course]:
@@ -449,9 +457,13 @@ def usual_of(settings: Sequence[Setting], of: Mapping[str, Candidate]
 
 def oil_of(parameters: Sequence[Parameter], of: Mapping[str, Candidate], policy: Policy
            ) -> dict[str, float]:
-    """Return by how much what goes with the oil differs from one recording to the next, SI."""
+    """Return by how much what goes with more than the machine differs between recordings, SI.
+
+    The oil; and a spring that is not always the same: the air on a surface.
+    """
     spreads = {p.name: max(p.between, LEAST * policy.between * abs(p.value))
-               for p in parameters if of[p.name].of_oil}
+               for p in parameters if of[p.name].of_oil or (
+                   of[p.name].family == "position" and p.between > policy.worse * abs(p.value))}
     return {name: spread for name, spread in spreads.items() if spread > 0.0}
 
 

@@ -216,7 +216,7 @@ def _terms_alone(whole: Table, found: Alone, count: int, policy: Policy) -> tupl
 def relaxed_at_zero(terms: tuple[Term, ...], policy: Policy) -> tuple[Term, ...]:
     """Return terms in which a spring beside a load is relaxed at x = 0, alone if that is all.
 
-    The column of a spring is k (x - x_0) with x_0 where the motion begins, so that it is not that
+    The column of a spring is k (x - x_0) with x_0 amid the motion, so that it is not that
     of a load F_0.  Of k (x - x_0) + F_0 no recording tells x_0 from F_0: what it knows is the
     force at x = 0, F_0 - k x_0, and that is what the load is then.
     """

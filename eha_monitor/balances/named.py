@@ -24,7 +24,6 @@ from eha_monitor.settings.monitor import Settings
 from eha_monitor.settings.rig import Rig
 from eha_monitor.words import effect_words, listed
 
-FORCE_OF_SENSORS = ("pressure_offset", "pressure_scale")  # they make a constant force as well
 LINEAR = ("B", "B_t", "D_p", "C_h", "k_d")  # what the config's own model has; its oil warms
 TWINS = {"mass": ("pressure_delay",), "pump_displacement": ("pump_flow_gain",),
          "position_gain": ("drive_gain", "command_delay")}
@@ -128,8 +127,6 @@ def _effect(name: str, terms: Sequence[Term], model: Model, rig: Rig, config: Ef
               for symbol, apart in _between(terms, values).items() if apart > TOLD]
     rivals = tuple(dict.fromkeys(r for term in terms for r in (
         *term.rivals, *term.candidate.twins)))
-    if name == "constant_load" and rig.area_1 and rig.area_2:
-        rivals += tuple(r for r in FORCE_OF_SENSORS if r not in rivals)
     return NamedEffect(
         name, model.balance, "; ".join([
             said, *([f"the config has {listed(configured)}"] if had else []), *spread]), values,

@@ -148,8 +148,7 @@ def compressibility(course: Course, rig: Rig) -> Term | None:
             fit = fitted(course, course.counted("flow"), flow, (
                 pump, leakage, ("1/beta_e", "1/Pa", "compressibility", 1, -taken), *more),
                 (course.a, course.direction, np.ones(len(course))),
-                (course.skew * rig.area_1 * course.a,), areas_apart(course, rig),
-                course.floor("flow", rig))
+                (course.skew * rig.area_1 * course.a,), areas_apart(course, rig))
             if fit is not None and fit["1/beta_e"].determined and (
                     not more or fit["b"].determined):
                 found.append(fit)

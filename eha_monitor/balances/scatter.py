@@ -144,7 +144,7 @@ class Scatter:
         places = [found.names.index(name) for name in self.names]
         value, power, own = found.value[places], found.power[places], found.stddev[places]
         more = np.maximum(own**2 - np.square(self.noise), 0.0)
-        weight = np.sqrt(np.minimum(power / np.array(self.power), 1.0))
+        weight = np.sqrt(np.minimum(power, self.power) / np.array(self.power))
         return weight * (value - self.mean) / np.sqrt(
             np.square(self.spread) * (1.0 + 1.0 / self.runs) + more)
 
@@ -181,7 +181,7 @@ def scatter_of(tables: Sequence[Table], weights: dict[str, float], settings: Seq
         values) else 0.0)
 
     def made(rows: np.ndarray, power: np.ndarray, limit: np.ndarray) -> Scatter:
-        weight = np.minimum(power / usual, 1.0)
+        weight = np.minimum(power, usual) / usual
         mean = (weight * rows).sum(axis=0) / weight.sum(axis=0)
         spread = np.sqrt((weight * (rows - mean) ** 2).sum(axis=0) / (
             (power > 0.0).sum(axis=0) - 1) + extra**2)

@@ -10,9 +10,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from eha_monitor.balances.candidates import FORCE_OF_SENSORS
 from eha_monitor.balances.judge import Judged, Moved
 from eha_monitor.balances.machine import Machine
-from eha_monitor.balances.named import FORCE_OF_SENSORS
 from eha_monitor.balances.scatter import t_of_next
 from eha_monitor.balances.warmth import damping_at
 

@@ -98,7 +98,9 @@ def diagnose(bags: tuple[Path, ...], config: Path | None, json_file: Path | None
         if found.machine is None:
             raise InputError("--machine: expected at least three BAGs that move, with the force "
                              "of the piston")
-        save(found.machine, machine_file)
+        save(found.belonging, machine_file)
+        notes += [f"{machine_file}: without {one.source}, which does not belong" for one in (
+            found.belonging.odd if len(found.belonging.sources) < len(bags) else ())]
     if config_file:
         write_text(config_file, written_config(found, given.settings, config))
         if not completed(found, given.settings)[1]:

@@ -15,7 +15,7 @@ from eha_monitor.concealed.plant import ATMOSPHERE
 CATALOGUE_BALANCES = {
     "force": ("coulomb_friction", "stribeck_friction", "quadratic_friction",
               "asymmetric_friction", "pressure_friction", "presliding_friction", "constant_load",
-              "spring_load", "added_mass", "backlash"),
+              "spring_load", "contact_spring", "added_mass", "backlash"),
     "flow": ("cross_port_leakage", "turbulent_leakage", "leakage_offset", "external_leakage",
              "relief_valve", "entrained_air", "position_dependent_volume", "pump_dead_zone",
              "pump_flow_gain", "pump_volumetric_loss", "line_dynamics", "anti_cavitation"),
@@ -179,6 +179,7 @@ ENTRIES: dict[str, Callable[[Context], Hidden]] = {
     "presliding_friction": _sets(F_c=("soft_seal", full(40.0)), z_0=("soft_travel", 50e-6)),
     "constant_load": _sets(F_0=("constant_load", full(40.0))),
     "spring_load": _sets(k=("stiffness", full(8000.0))),
+    "contact_spring": _sets(k=("contact", full(2e4)), x_c=("contact_place", 4e-3)),
     "added_mass": _sets("added", dM=("mass", full(6.0))),
     "backlash": _backlash,
     "cross_port_leakage": _cross_port,

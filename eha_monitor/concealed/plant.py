@@ -22,7 +22,8 @@ from eha_monitor.compiled import njit
     SEAL_FORWARD, SEAL_BACKWARD, SEAL_STATIC, STRIBECK_SPEED, SEAL_PER_PRESSURE, SEAL_TRAVEL,
     SOFT_SEAL, SOFT_TRAVEL,
     # load
-    DAMPING_ASYMMETRY, QUADRATIC, CONSTANT_LOAD, STIFFNESS, PLAY, PLAY_IN_LOOP,
+    DAMPING_ASYMMETRY, QUADRATIC, CONSTANT_LOAD, STIFFNESS, CONTACT, CONTACT_PLACE, PLAY,
+    PLAY_IN_LOOP,
     # leakage and valves
     TURBULENT, LEAKAGE_OFFSET, EXTERNAL_LEAKAGE_1, EXTERNAL_LEAKAGE_2, TANK, RELIEF_GAIN,
     RELIEF_PRESSURE, CHECK_GAIN, CHECK_PRESSURE,
@@ -37,7 +38,7 @@ from eha_monitor.compiled import njit
     STICKY_OPEN, STICKY_CLOSE, RIPPLE, RIPPLE_ORDER, GAPPED_MASS, GAPPED_PLAY, PLACE_LEAK,
     PLACE_LEAK_PLACE, PLACE_LEAK_WIDTH, LEVER_LOAD, LEVER_LENGTH, CUSHION, CUSHION_PLACE,
     WIDENING_GAP,
-) = range(66)
+) = range(68)
 NAMES = tuple(name.lower() for name in list(globals()) if name.isupper())  # those so far
 N_CONSTANTS = len(NAMES)
 
@@ -183,6 +184,8 @@ def _derivatives(y, memory, w_command, c, dy):
     dy[SW] = (w_command - y[SW]) / c[DRIVE_LAG] if c[DRIVE_LAG] > 0.0 else 0.0
 
     resisting = c[DAMPING] * v + c[QUADRATIC] * v * abs(v) + c[CONSTANT_LOAD] + c[STIFFNESS] * x
+    if c[CONTACT] > 0.0 and x > c[CONTACT_PLACE]:
+        resisting += c[CONTACT] * (x - c[CONTACT_PLACE])
     if c[LEVER_LOAD] != 0.0:
         resisting += c[LEVER_LOAD] * math.sin(2.0 * math.pi * x / c[LEVER_LENGTH])
     if c[CUSHION] != 0.0:

@@ -18,6 +18,7 @@ from eha_monitor.balances.answer import (
     force_left,
 )
 from eha_monitor.balances.baseline import baseline
+from eha_monitor.balances.candidates import FORCE_OF_SENSORS
 from eha_monitor.balances.change_point import since_change
 from eha_monitor.balances.course import TRAVEL
 from eha_monitor.balances.policy import POLICY, Policy
@@ -88,10 +89,6 @@ FINER = ("With these effects in the config (diagnose --write-config FILE, then -
 UNNAMED = ("A filter still sees more than the sensors' noise, too little for a balance of forces "
            "or flows and with no name: compare with a healthy recording of this machine (diagnose "
            "--reference) rather than with its config.")
-# Effect of the force balance -> errors of pressure sensors that make the same force: an offset,
-# and a scale by the mean pressure.
-FORCE_OF_SENSORS = {"constant_load": ("pressure_offset", "pressure_scale")}
-
 Report = Callable[[str, float], None]
 
 
@@ -533,7 +530,8 @@ def rivals_of(experiment: Experiment, naming: Naming, name: str) -> tuple[str, .
     """
     found = naming.rivals.get(name, ())
     if experiment.by_pressures:
-        found += tuple(other for other in FORCE_OF_SENSORS.get(name, ()) if other not in found)
+        found += tuple(other for other in FORCE_OF_SENSORS
+                       if name == "constant_load" and other not in found)
     return found
 
 

@@ -348,6 +348,7 @@ class Diagnosis:
     fitted : all numbers behind ``after`` with their joint covariance; None where there are none.
     gates : checks that refused an answer or a member of it, in the order in which they did.
     baselines : least squares on the balances of each recording, beside which the answer stands.
+    belonging : the machine of those of the recordings that belong, for others to be judged by.
     machine : what several recordings of one machine show together, or the machine that the
         recording was judged against.
     policy : the numbers that decided names.
@@ -388,6 +389,7 @@ class Diagnosis:
     gates: tuple[Gate, ...] = ()
     baselines: tuple[Baseline, ...] = ()
     machine: Machine | None = None
+    belonging: Machine | None = None
     policy: dict[str, float] = field(default_factory=dict)
     remarks: tuple[str, ...] = ()
     change_points: tuple[ChangePoint, ...] = ()
