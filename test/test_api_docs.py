@@ -67,7 +67,7 @@ def test_the_notebook_of_a_real_machine_is_kept_whole():
     assert [cell.execution_count for cell in code] == list(range(1, len(code) + 1))
     assert sum(["image/png", "text/plain"] in kind for kind in kinds_of(shown)) == 4
     said = "".join(output.get("text", "") for cell in code for output in cell.outputs)
-    assert re.search(r"Coulomb friction .* 19\d ± \d+ N·m more", said)
+    assert re.search(r"Coulomb friction .* 25\d ± \d+ N·m, where 15 healthy", said)
 
 
 # A diagnosis, a study and a report: what the docstrings' examples run in test_api_examples.py.
