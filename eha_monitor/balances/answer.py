@@ -67,7 +67,7 @@ from eha_monitor.settings.rig import Rig
 from eha_monitor.words import listed
 
 SIDE_OF = {"mass": "force", "pump_displacement": "flow", "position_gain": "drive",
-           "charge_pressure": "flow"}
+           "charge_pressure": "flow", "leakage": "flow"}
 OVERLAY = 4.0  # s of an overlay
 WHERE = ("force", "flow", "drive", "sensor")
 
@@ -232,30 +232,34 @@ def _composed(models: Sequence[Model], courses: Sequence[Course], settings: Sett
         effects.append(charge)
     effects.sort(key=lambda effect: -effect.log_evidence)
     open_ = [one for one in models if is_open(one, policy) and one.balance not in varying]
+    # Each balance is measured by channels of its own: one that stays open hides no worn pump.
+    nameless = {one.balance for one in open_}
+    effects = [effect for effect in effects if effect.balance not in nameless]
+    wrong, within = (tuple(one for one in some if SIDE_OF[one.key] not in nameless)
+                     for some in (wrong, within))
+    models = [one.plain() if one.balance in nameless else one for one in models]
     blamed = {one.balance for one in effects} | {SIDE_OF[one.key] for one in wrong}
     unsure = [one for one in models
               if one.balance not in blamed and not agrees(one, rig, policy)]
-    verdict = ("mismatch" if blamed and not open_ else
-               "unexplained" if open_ or unsure else "consistent")
+    verdict = "mismatch" if blamed else "unexplained" if open_ or unsure else "consistent"
     stiffness = stiffness_of(courses, rig)
     before, after = (known_of(
-        [one for one in models if nominal or one.balance not in varying], rig, policy, stiffness,
+        [one for one in models if nominal or one.balance not in (*varying, *nameless)], rig,
+        policy, stiffness,
         nominal) for nominal in (True, False))
     shown = models
     if verdict == "unexplained":
         shown = [one.plain() for one in models]
-        models = shown if open_ else models
         effects, wrong, within, after = [], (), (), {}
     where, curves = place_of(shown, courses, effects, wrong, verdict)
-    if open_:
-        message = "; ".join(
-            f"nothing of the catalogue explains {share(one.error, 2)} of the {one.balance} balance"
-            for one in open_)
-    else:
-        message = "; ".join([*(one.statement for one in (*wrong, *effects)), *(
-            f"of what varies in the {one.balance}, {share(one.error, 2)} has no name"
-            for one in models if one.balance in varying), *map(_unsure_words, unsure)]) or (
-            _agreeing_words(models, policy))
+    message = "; ".join([
+        *(one.statement for one in (*wrong, *effects)),
+        *(f"of what varies in the {one.balance}, {share(one.error, 2)} has no name"
+          for one in models if one.balance in varying),
+        *(f"nothing of the catalogue explains {share(one.error, 2)} of the {one.balance} balance"
+          for one in open_),
+        *map(_unsure_words, [one for one in unsure if one.balance not in nameless])]) or (
+        _agreeing_words(models, policy))
     return Diagnosis(
         (), verdict, message, where, tuple(effects), before, after, "held_out",
         {one.balance: SignalFit(SIDES[one.balance], one.nominal_error * one.size,
@@ -297,10 +301,13 @@ def _agreeing_words(models: Sequence[Model], policy: Policy) -> str:
 def _unsure_words(one: Model) -> str:
     """Return what a balance leaves that has no name."""
     terms = [t.candidate.words for t in one.terms if t.candidate.name not in LINEAR]
-    removed = share(1.0 - one.error / one.nominal_error, 2)
-    return f"the config's model leaves {share(one.nominal_error, 2)} of the {one.balance}; " + (
-        f"{listed(terms)} together explain {removed} of that, none of them surely" if terms else
-        "nothing of the catalogue explains it")
+    removed = 1.0 - one.error / one.nominal_error
+    left = f"the config's model leaves {share(one.nominal_error, 2)} of the {one.balance}; "
+    if not terms or removed < POLICY.worse:
+        return f"{left}nothing of the catalogue explains it"
+    how = "explains {} of that, not surely" if len(terms) == 1 else (
+        "together explain {} of that, none of them surely")
+    return f"{left}{listed(terms)} {how.format(share(removed, 2))}"
 
 
 def is_open(model: Model, policy: Policy) -> bool:

@@ -40,6 +40,7 @@ MOTION = 4.0  # bands: pass band of the motion
 STEPS = 8  # of the effects' memory in a sample: a line is faster than the grid
 GRID, COARSE = 32, 4  # points in a period of the band; each so-many-th of them is compared
 BRIDGED = 0.1  # of a period of the motion's band: a gap that a straight line bridges
+JOINED = 5.0  # periods of the band that a step takes to fade to 1e-5 of itself behind its low-pass
 APART = 0.5  # periods of the band over which its low-pass mixes a sample with its neighbours
 SPARSE = 0.4  # samples in a period of the band, inverted: fewer do not hold it
 NO_MOTION = "nothing moves in it"
@@ -344,6 +345,9 @@ def course_of(recording: Recording, settings: Settings, band: float = BAND) -> C
     true, noise = undo_sensors(cleaned, noise, circuit, rows * dt)
     missing = _gaps(~np.all([np.isfinite(true[name]) for name in needed], axis=0),
                     round(BRIDGED / (MOTION * band * dt)))
+    fades = round(JOINED / (band * dt))
+    for join in np.flatnonzero(np.diff(rows) > 1):  # of two stretches: a step, for a low-pass
+        missing[max(join - fades, 0):join + fades] = True
     whole = {name: filled(values) for name, values in true.items()}
     force = force_of(rig, whole)
     away = np.zeros(len(recording), dtype=bool)
