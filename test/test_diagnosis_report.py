@@ -188,8 +188,7 @@ def test_a_sensor_that_drifts_is_shown_against_time():
 
 def test_the_most_informative_curve_leads():
     found = coulomb()
-    assert [curve.against for curve in informative(found)][:2] == [
-        "velocity", "pressure difference"]
+    assert [curve.against for curve in informative(found)][:2] == ["velocity", "position"]
     late = replace(found, curves=(replace(found.curves[1], against="time"), found.curves[0]))
     assert [curve.against for curve in informative(late)] == ["position", "time"]
     assert informative(found)[-1].balance == "flow"

@@ -14,6 +14,8 @@ from eha_monitor.mismatch.diagnosis import (
 from eha_monitor.mismatch.diagnosis import (
     Curve as MissingTerm,
 )
+from eha_monitor.physics import signals
+from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.quantity import SYMBOLS
 from eha_monitor.reports import figure as fig
 from eha_monitor.reports.traces import LARGEST, robust_range, tamed
@@ -31,6 +33,9 @@ _SYMBOL_OF = {"velocity": "velocity v", "position": "position x", "omega": "pump
               "p2": "pressure p₂", "angle": "angle of the shaft θ"}
 _FACTORS = {"dp": "Δp", "v": "v", "omega": "ω"}
 # In steady motion pump and piston go together; a force hangs on the piston, pressures on it.
+_READ = {signals.T: "time", signals.X: "position", signals.V: "velocity",
+         signals.P1: "pressure_difference", signals.P2: "pressure_difference",
+         signals.OMEGA: "pump_speed", signals.ANGLE: "pump_speed"}  # by effects
 _INDIRECT, _STAND_IN = (("force", "pump_speed"), ("force", "pressure_difference")), 0.5
 _STEPS_OF_TIME = 12  # of a recording, in which a slow change shows over the motion
 _MOST_BARS = 70  # points with a bar each; more get a band
@@ -64,9 +69,10 @@ def informative(found: Diagnosis) -> list[MissingTerm]:
 
     A curve says much where its quantity decides the missing term: what it varies by is then
     large against the spread at each place.  The balance with the largest share goes first, of
-    those that something was named in, then the best curve of each other one; time goes last, for
-    it decides nothing by itself, unless what is named comes and goes, or nothing is named.  A
-    sensor's error may be a drift.
+    those that something was named in, then the best curve of each other one; what the named
+    effects depend on goes before what only goes with it; time goes last, for it decides nothing by
+    itself, unless what is named comes and goes, or nothing is named.  A sensor's error may be a
+    drift.
     """
     share = found.location.balance
     named = {effect.balance for effect in found.effects} or set(share)
@@ -75,12 +81,16 @@ def informative(found: Diagnosis) -> list[MissingTerm]:
     drawable = [curve for curve in found.curves
                 if np.isfinite(curve.measured * curve.x).sum() >= 2]
 
-    def rank(curve: MissingTerm) -> tuple[bool, float]:
+    def rank(curve: MissingTerm) -> tuple[bool, bool, float]:
         unnamed = found.verdict == "unexplained" and not found.effects
         if curve.against == "time" and (unnamed or curve.balance == "sensor"):
-            return False, -_contrast(_in_steps(curve))
+            return False, False, -_contrast(_in_steps(curve))
         stand_in = _STAND_IN if (curve.balance, curve.against) in _INDIRECT else 1.0
-        return (curve.against == "time") != timed, -_contrast(curve) * stand_in
+        own = {_READ[signal] for effect in found.effects
+               if effect.balance == curve.balance and effect.name in CATALOGUE
+               for signal in CATALOGUE[effect.name].reads if signal in _READ}
+        return ((curve.against == "time") != timed, bool(own) and curve.against not in own,
+                -_contrast(curve) * stand_in)
 
     best: dict[str, list[MissingTerm]] = {}
     for curve in sorted(drawable, key=rank):
