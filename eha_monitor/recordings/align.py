@@ -6,8 +6,9 @@ from collections.abc import Callable
 import numpy as np
 
 from eha_monitor.errors import InputError, one_line
+from eha_monitor.recordings.between import interpolate, released
 from eha_monitor.recordings.cdr import Series
-from eha_monitor.recordings.grid import GAP, JITTER, Grid, fit_grid, period_of, repair, tell_gaps
+from eha_monitor.recordings.grid import JITTER, Grid, fit_grid, repair, tell_gaps
 from eha_monitor.recordings.recording import CHANNELS, Recording, within_limits
 from eha_monitor.settings.monitor import Settings
 
@@ -69,6 +70,7 @@ def align(series: dict[str, tuple[Series, str]], settings: Settings, *, source: 
         tell_rate(name, axes[key], grid, said)
     columns = {name: columns[name] for name in CHANNELS
                if name in columns and (name == reference or np.isfinite(columns[name]).any())}
+    columns = released(columns, grid.step, said)
     tell_gaps(columns, grid.step, said)
     return Recording(sample_time=grid.step, channels=columns,
                      start_ns=max(0, origin + round(grid.start * 1e9)), source=source,
@@ -138,47 +140,6 @@ def placing(values: np.ndarray, axis: tuple, grid: Grid) -> Callable[[int, int],
                            cubic=own is grid)
 
     return between
-
-
-def interpolate(t: np.ndarray, values: np.ndarray, at: np.ndarray,
-                cubic: bool = False) -> np.ndarray:
-    """Interpolate between neighbours, never across a gap of more than GAP periods.
-
-    Parameters
-    ----------
-    t, values : (n,) rising times in s, and values.
-    at : (m,) times wanted, s.
-    cubic : through four neighbours where they are close together; smooths noise less.
-    """
-    out = np.full(len(at), np.nan)
-    if len(t) == 0:
-        return out
-    period = period_of(t)
-    near = np.clip(np.searchsorted(t, at), 0, len(t) - 1)
-    before = np.clip(near - 1, 0, None)
-    near = np.where(np.abs(t[before] - at) < np.abs(t[near] - at), before, near)
-    same = np.abs(t[near] - at) <= JITTER * (period or 1.0)
-    if len(t) > 1:
-        left = np.clip(np.searchsorted(t, at, side="right") - 1, 0, len(t) - 2)
-        width = t[left + 1] - t[left]
-        inside = (at >= t[0]) & (at <= t[-1]) & (width <= GAP * period)
-        part = (at - t[left]) / width
-        linear = values[left] * (1 - part) + values[left + 1] * part
-        out[inside] = linear[inside]
-        if cubic and len(t) > 3:
-            four = np.clip(left, 1, len(t) - 3)[:, None] + np.arange(-1, 3)
-            nodes, heights = t[four], values[four]
-            apart = nodes[:, :, None] - nodes[:, None, :]
-            away = at[:, None, None] - np.broadcast_to(nodes[:, None, :], apart.shape)
-            one = np.eye(4, dtype=bool)[None]
-            ratio = np.where(one, 1.0, away / np.where(one, 1.0, apart))
-            curve = (ratio.prod(axis=2) * heights).sum(axis=1)
-            close = inside & (np.diff(nodes, axis=1) <= GAP * period).all(axis=1)
-            close &= np.isfinite(curve)
-            out[close] = curve[close]
-    same &= np.isnan(out)  # at the edge of a gap, or beside a NaN
-    out[same] = values[near[same]]
-    return out
 
 
 def tell_rate(name: str, axis: tuple, grid: Grid, said: list[str]) -> None:

@@ -17,6 +17,7 @@ from eha_monitor.recordings import align as whole
 from eha_monitor.recordings import cdr
 from eha_monitor.recordings.align import align
 from eha_monitor.recordings.bag import Bag
+from eha_monitor.recordings.between import released
 from eha_monitor.recordings.cdr import Series, TopicReader, Want, types_of
 from eha_monitor.recordings.columns import PIECE, Column
 from eha_monitor.recordings.grid import JITTER, Grid, fit_grid, repair, tell_gaps
@@ -214,6 +215,7 @@ class Stream:
             if values is not None:
                 columns[name] = values
         columns = {name: columns[name] for name in CHANNELS if name in columns}
+        columns = released(columns, grid.step, said)
         tell_gaps(columns, grid.step, said)
         return Recording(grid.step, columns,
                          max(0, self.origin + round(grid.start * 1e9)), source,
