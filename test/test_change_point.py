@@ -1,6 +1,7 @@
 """A number that changes while a recording runs: when, by how much, and what is no change."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -64,3 +65,11 @@ def test_the_command_says_and_writes_it(tmp_path, capfd):
     assert "viscous damping rose by" in said and "in the state since" in said
     (point,) = json.loads(out.read_text())["change_points"]
     assert point["symbol"] == "B" and point["step"]["value"] == pytest.approx(300.0, rel=0.01)
+
+
+@pytest.mark.parametrize("drift", [1e4, 3e5])
+def test_a_pressure_sensor_that_drifts_is_no_change_at_a_time(drift):
+    recording = recorded(effects=RUBS, shape=SLOW | {"amplitude": 0.01, "frequency": 0.3})
+    p1 = recording.channels["p1"] + np.linspace(0.0, drift, len(recording))
+    assert change_point(replace(recording, channels=recording.channels | {"p1": p1}),
+                        settings()) is None

@@ -49,16 +49,27 @@ def test_a_held_channel_is_put_where_it_was_measured(seed, noise, resolution, st
     assert len(said) == 1 and said[0].startswith("p1: ") and "repeated over" in said[0]
     inner = slice(100, -100)
     truth = pressure(np.random.default_rng(seed), 0.0, 0.0, still)
-    error = np.sqrt(np.mean((out - truth)[inner] ** 2))
-    assert error < 0.3 * np.sqrt(np.mean((held - truth)[inner] ** 2)) + 3 * (noise + resolution)
+    error, before, row = (np.sqrt(np.mean(one[inner] ** 2)) for one in (
+        out - truth, held - truth, np.diff(truth)))
+    # Of a source with a clock of its own nobody knows when in the last row it measured.
+    assert error < 0.3 * before + 3 * (noise + resolution) + row
+
+
+@pytest.mark.parametrize("hold, released_too", [(10, True), (6, False)])
+def test_the_speed_of_a_drive_is_released_with_sensors_of_the_same_hold(hold, released_too):
+    rng = np.random.default_rng(2)
+    p, omega = (np.repeat(pressure(rng, 300.0, 0.0, 0)[::n], n) for n in (10, hold))
+    out = released({"omega": omega[:len(p)], "p1": p}, STEP, [])
+    assert (out["omega"][:-10] != omega[:len(p)][:-10]).any() == released_too
 
 
 def test_gaps_stay_gaps_and_demands_stay_held():
     held = np.repeat(pressure(np.random.default_rng(1), 300.0, 100.0, 0)[::10], 10)
     held[3000:3400] = np.nan
-    out = released({"p1": held, "omega_d": held, "omega": held}, STEP, [])
+    out = released({"p1": held, "omega_d": held}, STEP, [])
     np.testing.assert_array_equal(np.isnan(out["p1"]), np.isnan(held))
-    assert out["omega_d"] is held and out["omega"] is held
+    assert out["omega_d"] is held
+    assert released({"omega": held}, STEP, [])["omega"] is held
 
 
 def test_the_rows_of_a_constant_value_are_measured_again():

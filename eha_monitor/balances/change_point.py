@@ -7,6 +7,7 @@ gain over all terms and times is a change where
 
 - it gains more, by ``alone``, than what a name owes, and than a step in the order of speed or of
   position instead of time: else the motion has changed, and the law that is missing with it;
+- it gains more, by ``alone``, than a steady drift of the same number, such as a sensor's;
 - delta is as far from nothing as a name owes, by chance: a missing law that looks like a term
   looks like it before and after.
 
@@ -165,6 +166,8 @@ class _Steps:
             return None
         # Of what does as well, what every model has: it is the plainest.
         name = next(name for name in gains if gains[name].max() > most - policy.alone)
+        if gains[name].max() <= self.drifting(name) + policy.alone:
+            return None
         place = self.range[ties.largest(gains[name])]
         own, value, chance, stddev, least = self.fitted(name, place)
         # As oil warms, and a gain differs by the shape of a motion, a number moves a little.
@@ -207,6 +210,19 @@ class _Steps:
                 gains.append(0.5 * np.log(whole / left))
             found[name] = np.array(gains)
         return found
+
+    def drifting(self, name: str) -> float:
+        """Return the log units on unseen blocks that a drift of a term's parameter gains."""
+        places, signs, least = self.beside(name)
+        rows = self.rows[:, places]
+        rows = np.hstack([rows, rows[:, -1:] * np.linspace(-1.0, 1.0, len(rows))[:, None]])
+        rows, fold = rows[self.table.good], self.whose // 2 % FOLDS
+        parts = [rows[fold == one].T @ rows[fold == one] for one in range(FOLDS)]
+        whole = sum(_left((sum(parts) - part)[:-1, :-1], part[:-1, :-1], signs, least)
+                    for part in parts)
+        free, bounds = np.append(signs, 0.0), np.append(least, 0.0)
+        return 0.5 * float(np.log(whole / sum(
+            _left(sum(parts) - part, part, free, bounds) for part in parts)))
 
     def beside(self, name: str) -> tuple[list[int], np.ndarray, np.ndarray]:
         """Return the columns of the model with a term, that one last, their signs and bounds."""

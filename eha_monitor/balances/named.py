@@ -46,7 +46,8 @@ def effects_of(model: Model, rig: Rig, policy: Policy, held: Effects) -> list[Na
     held : effects of the config, which the terms add to.
     """
     named = [t for t in model.terms if (t.named or _leaks_more(t, policy))
-             and t.candidate.name not in LINEAR and not within_tolerance(t, rig, policy)
+             and t.candidate.name not in LINEAR
+             and not weightless(t, rig, policy) and not within_tolerance(t, rig, policy)
              and (t.candidate.family == DRY or policy.sure(*t.presence))]
     groups: dict[str, list[Term]] = {}
     for term in named:
@@ -279,6 +280,12 @@ def within_tolerance(term: Term, rig: Rig, policy: Policy) -> bool:
         rig.tolerance.log_spread(key), now.stddev / max(now.value, configured)))
 
 
+def weightless(term: Term, rig: Rig, policy: Policy) -> bool:
+    """Tell whether a term leaves no moving mass: a bound, and what too coarse a pressure shows."""
+    return term.candidate.name == "dM" and not policy.sure(
+        max(rig.mass + term.value, 0.0), term.stddev)
+
+
 def _leaks_more(term: Term, policy: Policy) -> bool:
     """Tell whether the leakage that every model has is surely more than the config's."""
     return (term.candidate.name == "L" and term.candidate.always
@@ -293,6 +300,8 @@ def wrong_numbers(model: Model, rig: Rig, policy: Policy) -> list[RigFinding]:
         if one is None or not np.isfinite(term.stddev) or within_tolerance(term, rig, policy):
             continue
         key, configured, now = one
+        if weightless(term, rig, policy):
+            continue
         if key == "leakage" or (key == "mass" and (term.value > 0.0 or not (
                 term.named or configured > OTHER * (now.value + policy.varied * now.stddev)))):
             continue  # more of either is an effect of the catalogue

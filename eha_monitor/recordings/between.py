@@ -12,8 +12,10 @@ from eha_monitor.recordings.columns import IN_MEMORY, PIECE, Column, blocks
 from eha_monitor.recordings.grid import GAP, JITTER, period_of
 from eha_monitor.recordings.recording import sampled_rows
 
-# A demand, or the speed of a drive, may truly be held: the model's input has a hold of its own.
 SENSORS = ("x", "v", "p1", "p2", "force")
+# A drive may truly hold its speed, and the model has a hold for that: the logger does so only
+# where it holds a sensor over as many rows.  A demand is held in any case.
+DRIVEN = "omega"
 ENOUGH = 50  # clear changes, below which nothing is concluded
 CLEAR = 1.5  # of a small change; one step of a coarse sensor says nothing about holding
 SMALL = 0.1  # of the changes are smaller: of a coarse sensor they are one step of it
@@ -110,17 +112,15 @@ def released(columns: dict[str, np.ndarray], step: float, said: list[str]
     step : spacing of the grid, s.
     said : takes a sentence for each channel that was held.
     """
-    found = {}
-    for name, values in columns.items():
-        found[name] = values
-        if name not in SENSORS:
+    found, holds = dict(columns), {}
+    for name in (*SENSORS, DRIVEN):
+        if name not in columns:
             continue
-        rows = len(values)
-        whole = values if rows <= IN_MEMORY else values[sampled_rows(rows)[:PIECE]]
-        hold = hold_of(whole)
-        if hold == 1:
+        values, rows = columns[name], len(columns[name])
+        hold = hold_of(values if rows <= IN_MEMORY else values[sampled_rows(rows)[:PIECE]])
+        if hold == 1 or (name == DRIVEN and hold not in holds.values()):
             continue
-        found[name] = _between(values, hold, step)
+        holds[name], found[name] = hold, _between(values, hold, step)
         said.append(f"{name}: {1 / (hold * step):.4g} Hz, each value repeated over {hold} rows; "
                     f"interpolated to {1 / step:.4g} Hz")
     return found
