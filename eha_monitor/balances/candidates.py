@@ -281,6 +281,11 @@ def force_candidates(scale: Scale, rig: Rig) -> tuple[Candidate, ...]:
         one("F_0", "constant_load", "N", "constant load", 0, lambda c, r: np.ones(len(c)),
             always=True, setting=scale.turns, symbol="F_0", odd=False,
             twins=FORCE_OF_SENSORS if rig.area_1 and rig.area_2 else ()),
+        one("d_1", "pressure_drift", "Pa/s",
+            "drift of a pressure sensor or of the load, as of chamber 1", 0,
+            lambda c, r: None if c.p1 is None or not r.area_1 else r.area_1 * c.dt * (
+                np.arange(len(c)) - 0.5 * len(c)),
+            setting=True, symbol="d_1", shape=(("d_2", 0.0),), odd=False),
         one("F_c", "coulomb_friction", "N", "dry friction", 1, lambda c, r: c.direction,
             family="dry", variant=True, symbol="F_c", shape=(("v_e", standing),)),
         one("mu", "pressure_friction", "m²", "dry friction per sum of pressures", 1,
