@@ -235,6 +235,15 @@ def test_a_bag(tmp_path, capsys):
     assert main(["estimate", str(ROOT / "bags" / "air_ingress"), "--config", "my_rig.yaml"]) == 0
 
 
+def test_the_namespace_of_a_bag_is_written(tmp_path, capsys):
+    config = load_settings(ROOT / "config" / "eha.yaml")
+    config = config.model_copy(update={"monitor": config.monitor.model_copy(
+        update={"namespace": "/press_3"})})
+    write_recording(tmp_path / "bag", Recording(1e-3, SEEN), config)
+    assert init(capsys, tmp_path / "bag", "--yes", *sets(*SHEET))[0] == 0
+    assert load_settings("my_rig.yaml").monitor.namespace == "/press_3"
+
+
 def test_a_mat_file_without_names(tmp_path, capsys):
     from scipy.io import savemat
 

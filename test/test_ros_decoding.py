@@ -134,3 +134,13 @@ def test_fields_of_a_class_are_those_of_its_definition(name):
     for inner, (_, fields) in types_of_class(kind).items():
         assert fields == [tuple(one) for one in get_typestore(
             Stores.ROS2_JAZZY).fielddefs[inner][1]], inner
+
+
+def test_a_topic_is_taken_once_however_it_is_spelt():
+    """As ``init`` drafts it of a bag: full names, beside defaults for the same topic."""
+    config = settings_from_tree({"channels": {
+        "x": {"topic": "/rig1/joint_states", "name": "piston", "field": "position"}}}, "test")
+    found = topics_of(config, resolve=lambda name: name if name[0] == "/" else f"/rig1/{name}")
+    (one,) = (t for t in found if t.full_name == "/rig1/joint_states")
+    assert {c for entry in one.entries for c, _ in entry.channels} >= {"x", "v", "omega"}
+    assert len({t.full_name for t in found}) == len(found)

@@ -264,6 +264,8 @@ def _change(moved: Moved, machine: Machine, settings: Settings, stiffness: Stiff
     c = moved.candidate
     what, name = WHAT.get(c.name, c.effect), effect_words(c.effect)
     words = WORDS.get(c.name) or (name if c.words in name else f"{name} ({c.words})")
+    if c.name == "C_h" and unit == c.unit:  # of nothing no modulus can be said
+        what, words = c.effect, "the compliance of a chamber"
     symbol = "" if c.name in WHAT else c.symbol or c.name
     runs, more = _runs(machine), moved.here - moved.machine
     by = "" if unit != c.unit or not moved.apart < SHARED * moved.stddev else (

@@ -229,7 +229,8 @@ def judge(machine: Machine, courses: Sequence[Course], settings: Settings) -> Ju
                                    np.array(list(held.values())))
         own |= {name: (float(v), float(d)) for name, v, d in zip(free, value, stddev,
                                                                  strict=True)}
-        beside = _Beside(one, table, held, free, loose, machine.policy).judged(machine)
+        beside = _Beside(one, table, held, free, loose, machine.policy, (
+            rig.volume_1 or 0.0) / rig.bulk_modulus).judged(machine)
         names = {*one.terms, *(moved.candidate.name for moved in beside.changed)}
         left = left_alone(table, (c for name in sorted(names) for c in columns_of(name, table)))
         beside = replace(beside, each=tuple(tables), alone=left / max(
@@ -277,6 +278,7 @@ class _Beside:
     ----------
     held : the machine's parameters; ``free`` terms of the recording's own setting.
     loose : spread of what a setting has beside its load.
+    least_soft : compliance of chamber 1 by the config's oil, m³/Pa.
     """
 
     one: MachineBalance
@@ -285,6 +287,7 @@ class _Beside:
     free: list[str]
     loose: dict[str, float]
     policy: Policy
+    least_soft: float = 0.0
 
     @cached_property
     def of(self) -> dict[str, Candidate]:
@@ -454,9 +457,13 @@ class _Beside:
         return i, equal
 
     def owned(self, name: str) -> float:
-        """Return what the machine has of a term's family, by that term, with the config's, SI."""
+        """Return what the machine has of a term's family, by that term, with the config's, SI.
+
+        Every chamber is as compliant as its oil: where timing or noise hides it, as the config's.
+        """
         c = self.of[name]
-        return own_part(name, self.table, self.surely) + c.configured
+        return max(own_part(name, self.table, self.surely) + c.configured,
+                   self.least_soft if c.effect == OIL[0] else -np.inf)
 
     def matters(self, own: float, step: float, before: float, after: float) -> bool:
         """Tell whether a machine is repaired for a change.

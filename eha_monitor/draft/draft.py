@@ -3,6 +3,7 @@
 from dataclasses import dataclass, replace
 from json import dumps
 from math import isclose, log
+from posixpath import commonpath, dirname
 
 import numpy as np
 
@@ -28,7 +29,7 @@ from eha_monitor.recordings.read import read_recording
 from eha_monitor.recordings.recording import ChannelFinding, Recording
 from eha_monitor.settings.channels import check_unit, counted_from, unit_of
 from eha_monitor.settings.load import settings_from_tree, text_tree
-from eha_monitor.settings.monitor import Settings
+from eha_monitor.settings.monitor import Monitor, Settings
 from eha_monitor.settings.rig import Rig
 
 ASK = "ASK"
@@ -72,6 +73,9 @@ def draft_text(source: Source, found: Map, told: Lines, checks: list[str]) -> st
     if told.effects:
         lines += ["effects:", *(_line(f"  {one.key}: {one.value}", one.why)
                                 for one in told.effects)]
+    space = _namespace(found) if source.bag else ""
+    if space:
+        lines += ["monitor:", _line(f"  namespace: {space}", "all topics of the bag are in it")]
     lines += ["channels:"] if source.bag else ["table:"]
     if not source.bag:
         lines += [_line(f"  {key}: {_scalar(value)}", "values: how the file is laid out")
@@ -99,6 +103,14 @@ def draft_text(source: Source, found: Map, told: Lines, checks: list[str]) -> st
               "  bulk_modulus: {low_error: null, low_warn: null, high_warn: null, "
               "high_error: null}"]
     return "\n".join(lines) + "\n"
+
+
+def _namespace(found: Map) -> str:
+    """Return the namespace of the topics where it is one, and not the default's; else ""."""
+    topics = [guess.candidate.place["topic"] for guess in found.channels.values()]
+    shared = commonpath([dirname(topic) for topic in topics]) if topics and all(
+        topic.startswith("/") for topic in topics) else ""
+    return "" if shared in ("/", "", Monitor().namespace) else shared
 
 
 def _in_kind(guess: Guess) -> str:

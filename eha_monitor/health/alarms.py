@@ -348,7 +348,7 @@ def judge_series(settings: Settings, time: np.ndarray, parameters: dict[str, Par
     present = (np.ones(len(index), dtype=bool) if measured is None else
                times - time[0] - _last(measured, time, index)
                <= settings.monitor.stale_after)
-    warmth = None if temperature is None else _carried(temperature, index).tolist()
+    warmth = None if temperature is None else carried(temperature, index).tolist()
     columns = {symbol: _columns(series, index) for symbol, series in parameters.items()}
     trials = {symbol: Trial(series.final.unit) for symbol, series in parameters.items()}
     unjudged = {symbol: _unjudged(series.final) for symbol, series in parameters.items()}
@@ -421,6 +421,6 @@ def _last(measured: np.ndarray, time: np.ndarray, index: np.ndarray) -> np.ndarr
     return np.where(rows >= 0, chosen(time, np.maximum(rows, 0)) - time[0], -np.inf)
 
 
-def _carried(values: np.ndarray, index: np.ndarray) -> np.ndarray:
-    """Return the rows ``index`` with NaN filled with the value before it; (k,)."""
+def carried(values: np.ndarray, index: np.ndarray) -> np.ndarray:
+    """Return the rows ``index`` of a slow channel, NaN filled with the value before it; (k,)."""
     return chosen(values, np.maximum(_last_rows(values, index), 0))

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from eha_monitor.health.alarms import JUDGE_RATE, ParameterSeries
+from eha_monitor.health.alarms import JUDGE_RATE, ParameterSeries, carried
 from eha_monitor.indicators.laws import viscosity_factor
 from eha_monitor.settings.monitor import LIMITS, Settings, Thresholds
 
@@ -108,7 +108,8 @@ def healthy_of(source: str, symbol: str, time: np.ndarray, series: ParameterSeri
     factor = np.ones(len(index))
     if symbol == "B" and temperature is not None:
         factor = np.array([viscosity_factor(settings.viscosity, degrees)
-                           if math.isfinite(degrees) else 1.0 for degrees in temperature[index]])
+                           if math.isfinite(degrees) else 1.0
+                           for degrees in carried(temperature, index)])
     value, stddev = value * factor, stddev * factor
     limits = getattr(settings.thresholds, SECTIONS[symbol])
     margin = settings.thresholds.confidence * stddev

@@ -40,7 +40,8 @@ class Evidence:
     channels : that were recorded.
     pressures : (m,) absolute pressures of both chambers at times spread over the recording, Pa;
         empty where they were not measured.
-    temperature : of the oil, °C, or None; ``measured`` says whether a channel gave it.
+    temperature : of the oil, °C, or None; ``measured`` says whether a channel gave it, and
+        ``warmth`` the lowest and the highest of recordings that are too far apart for one.
     diagnosed : whether effects were looked for; ``settled``: and what was found explains it.
     """
 
@@ -53,6 +54,7 @@ class Evidence:
     pressures: np.ndarray = field(default_factory=lambda: np.empty(0))
     temperature: float | None = None
     measured: bool = False
+    warmth: tuple[float, float] | None = None
     diagnosed: bool = False
     settled: bool = True
 
@@ -123,6 +125,7 @@ def evidence(recordings: list[Recording], settings: Settings, values: Mapping[st
     return Evidence(values, covariance, tuple(settings.effects), why, channels=channels,
                     pressures=np.concatenate(pressures) if pressures else np.empty(0),
                     temperature=temperature, measured=measured, diagnosed=diagnosed,
+                    warmth=(min(warmth), max(warmth)) if warmth and not measured else None,
                     settled=settled)
 
 
@@ -300,9 +303,9 @@ def _damping(found: Evidence, settings: Settings) -> Indicator:
     def damping(values: Values) -> float:
         return values["B"] / _thinner(values, settings)
 
-    at = (_temperature_words(found, settings).removeprefix(", at ").join(("at ", ""))
-          if found.temperature is not None else
-          "at an unknown temperature of the oil: record it, or set health.oil_temperature")
+    at = _temperature_words(found, settings).removeprefix(", ")
+    if found.temperature is None and found.warmth is None:
+        at += ": record it, or set health.oil_temperature"
     return _made("damping", damping, *_with_temperature(found, settings, ("B",)), (), at, unit)
 
 
@@ -457,8 +460,12 @@ def _thinner(values: Values, settings: Settings) -> float:
 
 
 def _temperature_words(found: Evidence, settings: Settings) -> str:
+    if found.warmth is not None:
+        low, high = found.warmth
+        return (f", of recordings with oil from {low:.1f} to {high:.1f} °C, so not converted to "
+                f"{settings.viscosity.reference_temperature:g} °C")
     if found.temperature is None:
-        return ", at the unknown temperature of the oil"
+        return ", at an unknown temperature of the oil"
     law = "Walther's law" if settings.viscosity.grade else "the Reynolds law"
     given = "measured" if found.measured else "config"
     return (f", at {settings.viscosity.reference_temperature:g} °C by {law} from "

@@ -134,7 +134,9 @@ def topics_of(settings: Settings, source: str = "config",
     if "x" not in settings.channels:
         raise InputError(f"{source}: channels.x: expected the position's topic, it stamps the "
                          "rows")
+    # By the name on the graph: a drafted config spells out a topic that a default names as well.
     streams: dict[str, dict[tuple, list]] = {}
+    spelt: dict[str, str] = {}
     for name, channel in settings.channels.items():
         if name in UNUSED:
             continue
@@ -152,15 +154,16 @@ def topics_of(settings: Settings, source: str = "config",
             raise InputError(f"{source}: channels.{name}.field: expected a field path such as "
                              f"position or wrench.force.x, got {channel.field!r}") from problem
         key = (channel.name, round(channel.delay * 1e9), name in HELD)
-        streams.setdefault(channel.topic, {}).setdefault(key, []).append((name, channel))
+        full_name = resolve(channel.topic)
+        spelt.setdefault(full_name, channel.topic)
+        streams.setdefault(full_name, {}).setdefault(key, []).append((name, channel))
     topics = []
-    for topic, found in streams.items():
-        full_name = resolve(topic)
+    for full_name, found in streams.items():
         entries = [Entry(Source(f"{full_name} ({name})" if name else full_name,
                                 tuple(channel for channel, _ in channels), held),
                          name, delay, tuple(channels))
                    for (name, delay, held), channels in found.items()]
-        topics.append(Topic(topic, tuple(entries), full_name))
+        topics.append(Topic(spelt[full_name], tuple(entries), full_name))
     return topics
 
 
