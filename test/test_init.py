@@ -21,6 +21,8 @@ from eha_monitor.errors import InputError
 from eha_monitor.estimation.pipeline import estimate
 from eha_monitor.physics.simulator import Simulator
 from eha_monitor.recordings.importing import read_table
+from eha_monitor.recordings.recording import Recording
+from eha_monitor.recordings.write import write_recording
 from eha_monitor.settings import Settings, load_settings, settings_from_tree
 from eha_monitor.settings.load import tree_of
 

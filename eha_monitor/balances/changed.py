@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from eha_monitor.balances.answer import overlay_of, place_of, still
+from eha_monitor.balances.answer import WHERE, overlay_of, place_of, still
 from eha_monitor.balances.candidates import SIDES, balances_in
 from eha_monitor.balances.course import BOTH, Course, courses_of
 from eha_monitor.balances.judge import (
@@ -26,6 +26,7 @@ from eha_monitor.balances.policy import POLICY
 from eha_monitor.balances.scatter import limit_of, t_of_next
 from eha_monitor.balances.viscous import beside_viscosity
 from eha_monitor.balances.warmth import at_oil, viscosity_of
+from eha_monitor.balances.zero_error import change_of, load_of, without_offset, zero_errors
 from eha_monitor.errors import InputError
 from eha_monitor.mismatch.diagnosis import (
     Change,
@@ -78,6 +79,15 @@ def against(machine: Machine, recordings: Sequence[Recording], settings: Setting
     apart = _apart(machine, balances_in(courses, rig), settings, references)
     viscosity = viscosity_of(courses)
     judged = beside_viscosity(machine, judge(machine, courses, settings), viscosity).apart()
+    zero, load = (), load_of(judged)
+    if load is not None:
+        errors = [one for one in zero_errors(machine, recordings, settings, load)
+                  if _source(machine, one.courses, rig, None) is None]
+        if not errors:
+            judged = without_offset(judged, load)
+        elif len(judged.changed) > 1:  # one cause for all of it
+            zero = (change_of(errors, load, _runs(machine)),)
+            judged, courses = errors[0].judged, errors[0].courses
     stiffness = stiffness_of(courses, rig)
     judged = replace(judged, balances=tuple(replace(one, changed=tuple(
         moved for moved in one.changed if not _as_stiff(moved, machine, stiffness)))
@@ -88,6 +98,8 @@ def against(machine: Machine, recordings: Sequence[Recording], settings: Setting
                else "unexplained")
     changes = tuple(_change(one, machine, settings, stiffness) for one in moved
                     ) if verdict == "mismatch" else ()
+    if zero:
+        verdict, changes = "mismatch", zero
     oil = None if any(one.what == "beta_e" for one in changes) else _oil(machine, stiffness)
     if oil is not None and {one.balance for one in judged.loud} <= {"flow"}:
         softer = judged if changes else _with_oil(machine, judged, stiffness, rig)
@@ -95,7 +107,8 @@ def against(machine: Machine, recordings: Sequence[Recording], settings: Setting
             verdict, changes, judged = "mismatch", (*changes, oil), softer
         else:
             verdict = "unexplained"
-    source = _source(machine, courses, rig)
+    source = _source(machine, courses, rig, next(
+        (one for one in moved if one.candidate.effect == LOAD), None))
     # More oil through a leak or from a pump holds an emptier chamber higher by itself.
     if source is not None and verdict != "unexplained" and not (
             source.now.value > source.reference.value
@@ -106,9 +119,11 @@ def against(machine: Machine, recordings: Sequence[Recording], settings: Setting
         verdict = "insufficient_data"
     models = [_model(one) for one in judged.balances]
     effects = tuple(_effect(one, change, models) for one, change in zip(
-        moved, changes, strict=False) if change.symbol)
-    where, curves = place_of(models, courses, changes, (), verdict)
-    if changes:
+        moved, changes, strict=False) if change.symbol and not zero)
+    where, curves = place_of(models, courses, () if zero else changes, (), verdict)
+    if zero:
+        where = Location(dict.fromkeys(WHERE, 0.0) | {"sensor": 1.0}, "", ())
+    elif changes:
         where = Location(shares_of(changes, where.balance), where.regime, where.intervals_s)
     return Diagnosis(
         tuple(one.source for one in recordings), verdict,
@@ -322,7 +337,8 @@ def _oil(machine: Machine, stiffness: Stiffness) -> Change | None:
         f"{_runs(machine)} have {with_uncertainty(healthy.value, healthy.stddev, 'Pa')}"))
 
 
-def _source(machine: Machine, courses: Sequence[Course], rig: Rig) -> Change | None:
+def _source(machine: Machine, courses: Sequence[Course], rig: Rig, load: Moved | None
+            ) -> Change | None:
     """Return how the lowest pressure of the chambers has changed, if farther than healthy.
 
     By Student's t for one further recording, and by more than ``LOWEST`` of itself.  What feeds
@@ -349,6 +365,9 @@ def _source(machine: Machine, courses: Sequence[Course], rig: Rig) -> Change | N
     if not off:
         return None
     of, here, spread = np.mean(list(off.values()), axis=0).tolist()
+    if load is not None and abs(here - of) * min(rig.area_1, rig.area_2) <= abs(
+            load.here - load.machine):
+        return None
     what, whose, rest = "charge_pressure", (
         "the lowest pressure of a chamber, that of what feeds it (accumulator, check valve),"), ""
     if alike:

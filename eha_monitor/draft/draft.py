@@ -3,7 +3,6 @@
 from dataclasses import dataclass, replace
 from json import dumps
 from math import isclose, log
-from posixpath import commonpath, dirname
 
 import numpy as np
 
@@ -21,7 +20,7 @@ from eha_monitor.draft.rig import (
     tolerances,
     too_short,
 )
-from eha_monitor.draft.sources import Source
+from eha_monitor.draft.sources import Source, namespace_of
 from eha_monitor.errors import InputError
 from eha_monitor.plausibility.judge import Plausibility, plausibility_of
 from eha_monitor.recordings.importing import read_table
@@ -73,8 +72,9 @@ def draft_text(source: Source, found: Map, told: Lines, checks: list[str]) -> st
     if told.effects:
         lines += ["effects:", *(_line(f"  {one.key}: {one.value}", one.why)
                                 for one in told.effects)]
-    space = _namespace(found) if source.bag else ""
-    if space:
+    space = namespace_of(guess.candidate.place["topic"] for guess in found.channels.values()
+                         ) if source.bag else ""
+    if space not in ("", Monitor().namespace):
         lines += ["monitor:", _line(f"  namespace: {space}", "all topics of the bag are in it")]
     lines += ["channels:"] if source.bag else ["table:"]
     if not source.bag:
@@ -103,14 +103,6 @@ def draft_text(source: Source, found: Map, told: Lines, checks: list[str]) -> st
               "  bulk_modulus: {low_error: null, low_warn: null, high_warn: null, "
               "high_error: null}"]
     return "\n".join(lines) + "\n"
-
-
-def _namespace(found: Map) -> str:
-    """Return the namespace of the topics where it is one, and not the default's; else ""."""
-    topics = [guess.candidate.place["topic"] for guess in found.channels.values()]
-    shared = commonpath([dirname(topic) for topic in topics]) if topics and all(
-        topic.startswith("/") for topic in topics) else ""
-    return "" if shared in ("/", "", Monitor().namespace) else shared
 
 
 def _in_kind(guess: Guess) -> str:

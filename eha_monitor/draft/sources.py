@@ -4,8 +4,10 @@ Of a CSV also how it is laid out: what parts its cells, where names, units and n
 """
 
 import re
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
+from posixpath import commonpath, dirname
 
 import numpy as np
 
@@ -229,16 +231,26 @@ def _bag(path: Path) -> Source:
         taken[topic] = taken.get(topic, 0) + 1
         for name, where, value in _leaves(message, ""):
             numbers.setdefault((topic, name, where), []).append(value)
-    found = []
+    found, machine = [], namespace_of({topic for topic, _, _ in numbers})
     for (topic, name, where), values in numbers.items():
         column = np.array(values, dtype=float)
         if np.isfinite(column).any():
             place = {"topic": topic} | ({"name": name} if name else {}) | {"field": where}
             shown = " ".join(part for part in (topic, name, where) if part)
-            found.append(Candidate(place, shown, _of_message(topic, name, where), column))
+            # The machine's own namespace, "/press_3", says nothing of what is measured.
+            found.append(Candidate(place, shown, _of_message(
+                topic.removeprefix(machine), name, where), column))
     if not found:
         raise InputError(f"{path}: expected messages with numbers, found none")
     return Source(path, True, tuple(found))
+
+
+def namespace_of(topics: Iterable[str]) -> str:
+    """Return the namespace that topics have in common, ``/press_3``; "" where there is none."""
+    topics = list(topics)
+    if not topics or not all(topic.startswith("/") for topic in topics):
+        return ""
+    return commonpath([dirname(topic) for topic in topics]).rstrip("/")
 
 
 def _of_message(topic: str, name: str, where: str) -> Header:

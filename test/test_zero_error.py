@@ -1,0 +1,46 @@
+"""A load is told from the zero of a pressure sensor by what else moves with it."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from rig_tools import settings, simulated
+
+from eha_monitor.mismatch.compared import compared
+
+LEAKS = {"leakage": 4e-12, "makeup_conductance": 4e-13}
+MOTION = {"kind": "chirp", "amplitude": 0.02, "frequency": 0.2, "frequency_end": 1.5}
+LOADED = {"constant_load": {"F_0": 150.0}}
+
+
+@pytest.fixture(scope="module")
+def healthy():
+    return [simulated(MOTION | {"amplitude": a}, 20.0, rig=LEAKS).recording(seed)
+            for seed, a in enumerate((0.018, 0.02, 0.022, 0.019))]
+
+
+def now(effects=None):
+    return simulated(MOTION, 20.0, rig=LEAKS, effects=effects or {}).recording(9)
+
+
+@pytest.mark.parametrize("channel, off", [("p1", 3e5), ("p1", -2e5), ("p2", 3e5)])
+def test_a_sensor_that_reads_too_high_is_no_load_and_no_leak(healthy, channel, off):
+    recording = now()
+    channels = recording.channels | {channel: recording.channels[channel] + off}
+    found = compared([replace(recording, channels=channels)], healthy, settings(rig=LEAKS))
+    (change,) = found.changes
+    assert (found.verdict, change.what, change.balance) == ("mismatch", "pressure_offset",
+                                                            "sensor")
+    assert f"sensor of {channel} reads" in found.message and not found.effects
+    right = off if change.symbol == {"p1": "b_1", "p2": "b_2"}[channel] else -off
+    assert abs(change.now.value - right) < 3.0 * change.now.stddev < 0.1 * abs(off)
+    assert found.location.balance["sensor"] == 1.0
+
+
+def test_a_load_is_no_error_of_a_sensor(healthy):
+    found = compared([now(LOADED)], healthy, settings(rig=LEAKS))
+    (change,) = found.changes
+    assert change.what == "constant_load" and "pressure_offset" not in (
+        change.indistinguishable_from)
+    assert change.now.value == pytest.approx(150.0, abs=3.0 * change.now.stddev)
+    assert np.isfinite(change.now.stddev)
