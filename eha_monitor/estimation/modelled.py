@@ -27,6 +27,7 @@ from eha_monitor.physics.contributions import (
 PATH = N_EFFECTS  # row of the memory that holds how far the predicted motion has gone, m
 FEWEST, FEWEST_REMEMBERING, MOST = 2, 8, 64  # integration steps in a sample
 FAR = 1e6  # m along the path: an effect has forgotten where it came from
+SWING = 0.2  # rad of a mass on its seal, in a step
 STICKING = 20.0  # a force of unknown share counts as so many times uncertain: it is not white
 
 
@@ -142,16 +143,31 @@ def force_at(x, path, v, effects, memory, work):
 
 @njit(allocates=False)
 def steps_in_sample(dt, effects, memory, work):
-    """Return how many steps follow a friction that turns over sharply at v = 0."""
-    h = 1e-6
-    work.s[of.P1] = work.s[of.P2] = effects.theta[of.P_CHARGE]
-    ahead = force_at(0.0, FAR, h, effects, memory, work)
-    behind = force_at(0.0, FAR, -h, effects, memory, work)
-    rate = abs(ahead - behind) / (2.0 * h) / effects.theta[of.M]
-    fewest = FEWEST_REMEMBERING if len(effects.remembering) > 0 else FEWEST
+    """Return how many steps follow a friction as it turns over.
+
+    One without a seal turns over with v, within v_e: a rate of dF/dv / M.  A seal holds what it
+    has at v = 0 and turns over with x: only its micro damping goes with v, and on its stiffness
+    the mass swings with sqrt(k / M).
+    """
+    h, near = 1e-6, 1e-8
+    s, theta, trial = work.s, effects.theta, work.trial
+    s[of.P1] = s[of.P2] = theta[of.P_CHARGE]
+    for which in range(memory.shape[0]):
+        copied(trial[which], memory[which])
+    s[of.X], s[of.V] = FAR, h
+    if len(effects.remembering) > 0:
+        remember(s, theta, effects.remembering, h, trial)
+    ahead = force_at(0.0, FAR, h, effects, trial, work)
+    behind = force_at(0.0, FAR, -h, effects, trial, work)
+    rate = abs(ahead - behind) / (2.0 * h) / theta[of.M]
     if not rate * dt < 1e6:
         return MOST
-    return min(max(math.ceil(2.0 * rate * dt), fewest), MOST)
+    steps = 2.0 * rate * dt
+    if len(effects.remembering) == 0:
+        return min(max(math.ceil(steps), FEWEST), MOST)
+    stiff = abs(force_at(0.0, FAR - near, -h, effects, trial, work) - behind) / near
+    steps = max(steps, math.sqrt(stiff / theta[of.M]) * dt / SWING)
+    return min(max(math.ceil(steps), FEWEST_REMEMBERING), MOST)
 
 
 @njit(allocates=False)
