@@ -137,12 +137,16 @@ def _all_of(bags) -> str:
 
 
 def _remedy(unfit, bags, config) -> list[str]:
-    """Return the commands that bring limits with a diagnosed model; none where it fits."""
+    """Return the commands that bring limits with a diagnosed model; none where it fits.
+
+    Of one recording: a filter then finds the laws in the form that the estimate needs, where
+    several together say what they have in common.
+    """
     if not unfit:
         return []
     given = ["--config", str(config)] if config else []
     return [f"eha-monitor {shlex.join(words)}" for words in (
-        ["diagnose", *map(str, unfit), *given, "--write-config", "diagnosed.yaml"],
+        ["diagnose", str(unfit[0]), *given, "--write-config", "diagnosed.yaml"],
         ["thresholds", "--from", *map(str, bags), "--config", "diagnosed.yaml", "--write-config",
          "judged.yaml"])]
 
