@@ -6,10 +6,12 @@ import re
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from rig_tools import BETA, SINE, simulated
 from test_live_estimator import Stream, rows_of
 
-from eha_monitor.live.faults import HELD_S, FaultWatch
+from eha_monitor.live.faults import HELD_S, REACH_S, FaultWatch, Leaps
 from eha_monitor.live.rows import RowAligner, Source
 
 MS = 1_000_000
@@ -244,3 +246,52 @@ def test_a_channel_may_come_back_from_a_gap_later_than_the_others(rows, late):
     assert end.model.status == "consistent"
     assert end.parameters["B"].value == pytest.approx(600.0, rel=0.01)
     assert end.parameters["beta_e"].value == pytest.approx(BETA, rel=0.02)
+
+
+def test_a_position_in_another_unit_is_left_out_until_it_is_back():
+    rig = Rig()
+    rig.send(3000)
+    assert not rig.watch.sentences(rig.now)
+
+    def in_mm(k, name, values):
+        return [(0, (1e3 * values[0], math.nan) if name == "x" else values)]
+
+    said = rig.send(4000, in_mm)
+    assert "x leaps to" in said and "another unit" in said
+    begun = len(rig.rows)
+    rig.send(2000)
+    x = np.array([(stamp, row["x"]) for stamp, row in rig.rows if "x" in row])
+    assert np.abs(x[:, 1]).max() < 0.011  # no millimetre came through
+    assert np.sum(x[:, 0] > 7.1e9) > 1800 and begun
+    rig.send(4000)
+    assert not rig.watch.sentences(rig.now)
+
+
+def test_a_counter_that_was_reset_is_taken_after_a_second():
+    rig = Rig()
+    rig.send(2000)
+    said = rig.send(3000, lambda k, name, values: [
+        (0, (values[0] + 2.0, math.nan) if name == "x" else values)])
+    assert "x leaps to 2" in said and "NaN" not in said
+    x = np.array([(stamp, row["x"]) for stamp, row in rig.rows if "x" in row])
+    assert (x[:, 1] > 1.5).sum() == pytest.approx(2000, abs=50)
+
+
+def test_single_wild_values_cost_two_samples():
+    chance = some(0.01)
+    rig = Rig()
+    rig.send(4000, lambda k, name, values: [
+        (0, (values[0] + 3.0, math.nan) if name == "x" and chance() else values)])
+    x = np.array([row["x"] for _, row in rig.rows if "x" in row])
+    assert np.abs(x).max() < 0.011 and len(x) > 3880
+
+
+@settings(deadline=None, max_examples=50)
+@given(st.lists(st.tuples(st.floats(1e-4, 0.05), st.floats(-5.0, 5.0)), min_size=5, max_size=60),
+       st.integers(1, 20))
+def test_what_a_piston_can_do_is_never_left_out(steps, each):
+    time = np.cumsum([dt for dt, _ in steps])
+    x = np.cumsum([min(dt, REACH_S) * speed for dt, speed in steps])
+    leaps = Leaps(20.0, 1e-4)
+    for first in range(0, len(time), each):
+        assert not leaps.take(time[first:first + each], x[first:first + each]).any()

@@ -84,7 +84,7 @@ def test_a_frozen_channel_reaches_neither_rows_nor_estimates(graph):
     def feed(first, count, still):
         for k in range(first, first + count):
             now = k * 1e-3
-            x = 0.01 * ((k * 7) % 1000)
+            x = 3e-4 * abs((k * 7) % 2000 - 1000)
             for name, values in (("p1", (1e6 if still else 1e6 + k,)), ("p2", (2e6 + k,)),
                                  ("x_d", (x,)), ("x", (x, 0.1 * k, float("nan")))):
                 monitor.aligner.push(source[name], (5000 + k) * 1_000_000, values, now)

@@ -50,6 +50,71 @@ LEARNT_S = 2.0
 FORGOTTEN_S = 300.0
 
 
+# What no piston and no oil does within a row, per s: a message in another unit, a counter that was
+# reset.  A pressure surge rises by some 1e10 Pa/s.
+LEAPS = {"x": 20.0, "p1": 1e12, "p2": 1e12}
+ROTARY = 10.0  # times as many rad/s as m/s
+REACH_S = 0.02  # for so long at most that it may have gone on while no value came
+STEADY_S = 1.0  # of a new level without a leap, before it is taken for the sensor's
+
+
+class Leaps:
+    """Which values of a channel lie where it cannot have come from its last good one.
+
+    Parameters
+    ----------
+    rate : per s, that it cannot exceed.
+    least_s : shortest time between rows, s.
+    """
+
+    def __init__(self, rate: float, least_s: float):
+        self._rate, self._least = rate, least_s
+        self._good: tuple[float, float] | None = None  # s, value
+        self._raw: tuple[float, float] | None = None
+        self._steady = math.inf  # s, since when the raw values leap no more
+
+    def take(self, time: np.ndarray, values: np.ndarray) -> np.ndarray:
+        """Return which rows to leave out, (n,) bool, for times (n,) s and values, NaN where none.
+
+        A single wild value costs itself and the next; a level to which it has leapt is left out
+        until it is back, or has stayed there without another leap.
+        """
+        out = np.zeros(len(values), dtype=bool)
+        there = np.flatnonzero(np.isfinite(values))
+        if not len(there):
+            return out
+        t, v = time[there], values[there]
+        if self._raw is not None and abs(t[0] - self._raw[0]) > INTERRUPTED_S:
+            self._good = self._raw = None  # where it has gone meanwhile nobody knows
+        first = (t[0], v[0]) if self._good is None else self._good
+        far = np.abs(np.diff(v, prepend=first[1])) > self._rate * np.clip(
+            np.diff(t, prepend=first[0]), self._least, REACH_S)
+        if not far.any() and self._good is self._raw:
+            self._good = self._raw = (float(t[-1]), float(v[-1]))
+            return out
+        for at, moment, value in zip(there.tolist(), t.tolist(), v.tolist(), strict=True):
+            here = (moment, value)
+            if self._good is None:
+                self._good = self._raw = here
+                continue
+            leapt = self._leaps(self._raw, here)
+            self._raw, lost = here, self._raw is not self._good
+            if not self._leaps(self._good, here) and not (lost and leapt):
+                self._good = here
+                continue
+            if not lost or leapt:
+                self._steady = moment
+            if moment - self._steady >= STEADY_S:
+                self._good = here
+            else:
+                out[at] = True
+        return out
+
+    def _leaps(self, before: tuple[float, float], here: tuple[float, float]) -> bool:
+        apart = min(max(here[0] - before[0], self._least), REACH_S)
+        return abs(here[1] - before[1]) > self._rate * apart
+
+
 class Stillness:
     """Since when each channel has not changed.
 
@@ -216,6 +281,7 @@ class FaultWatch:
     sources : the streams.
     sample_time : as configured, s.
     latency : how long a row waits for its last channel, s.
+    rotary : whether the position is an angle.
 
     Attributes
     ----------
@@ -223,7 +289,8 @@ class FaultWatch:
     missing : samples that lack between the stamps, of all sources.
     """
 
-    def __init__(self, sources: list[Source], sample_time: float, latency: float):
+    def __init__(self, sources: list[Source], sample_time: float, latency: float,
+                 rotary: bool = False):
         self._sources, self._sample_time, self._latency = sources, sample_time, latency
         self._past = {source.name: _Past() for source in sources}
         self._sentences = Sentences()
@@ -231,6 +298,10 @@ class FaultWatch:
         self.missing = 0
         self._looked = False
         self._wild: dict[str, float] = {}  # channel -> its last value beyond every sensor
+        self._left_out: dict[str, int] = {}  # channel -> how many values, since the last look
+        self._leapt: dict[str, float] = {}  # the same, beyond where it can have come to
+        self._leaps = {name: Leaps(rate * (ROTARY if rotary and name == "x" else 1.0),
+                                   sample_time) for name, rate in LEAPS.items()}
 
     def take(self, rows: Rows) -> Rows:
         """Take rows; return them without what is frozen or no measurement."""
@@ -239,7 +310,12 @@ class FaultWatch:
             wild = np.abs(values) > LARGEST[name]  # no sensor can show it; the next look names it
             if wild.any():
                 self._wild[name] = float(values[wild][-1])
-                values = np.where(wild, np.nan, values)
+                values = self._without(wild, name, values)
+            if name in self._leaps:
+                leapt = self._leaps[name].take(rows.stamps * 1e-9, values)
+                if leapt.any():
+                    self._leapt[name] = float(values[leapt][-1])
+                    values = self._without(leapt, name, values)
             columns[name] = values
         rows = replace(rows, columns=columns)
         frozen = self.stillness.take(rows)
@@ -247,6 +323,11 @@ class FaultWatch:
             columns[name] = columns[name].copy()
             columns[name][:until] = np.nan
         return rows
+
+    def _without(self, those: np.ndarray, name: str, values: np.ndarray) -> np.ndarray:
+        """Leave out values that came, and count them: they have a sentence of their own."""
+        self._left_out[name] = self._left_out.get(name, 0) + int(those.sum())
+        return np.where(those, np.nan, values)
 
     def restart(self, reason: str, now: float) -> None:
         """Stamps have jumped back: name it, and learn anew what is usual."""
@@ -289,12 +370,19 @@ class FaultWatch:
                     self._lateness(source, past, steps, now)
             past.counts, past.rows = source.counts(), self.stillness.rows
             past.counted = {name: self.stillness.counts.get(name, 0) for name in source.channels}
+        self._left_out.clear()
         while self._wild:
             channel, value = self._wild.popitem()
             limit, unit = LIMITS[channel]
             self.note(f"wild {channel}", now, f"{channel}: {value:.3g} {unit} is not a valid "
                                               f"measurement (beyond ±{limit:.0e} {unit}), left "
                                               "out")
+        while self._leapt:
+            channel, value = self._leapt.popitem()
+            self.note(f"leap {channel}", now, (
+                f"{channel} leaps to {value:.3g} {LIMITS[channel][1]}, farther than it can move "
+                "within a sample (another unit, a counter that was reset?): left out until it is "
+                f"back, or has moved without a leap for {STEADY_S:g} s"))
         fresh = {}
         for channel, (seconds, since_ns, new) in self.stillness.look().items():
             reference = self.stillness.reference(channel)
@@ -347,7 +435,8 @@ class FaultWatch:
         empty, rows = source.empty - past.counts.empty, self.stillness.rows - past.rows
         given = [name for name in source.channels if past.counted.get(name)]
         for name in given:  # it gave numbers before
-            nan = empty + rows - lacked - (self.stillness.counts[name] - past.counted[name])
+            nan = empty + rows - lacked - (self.stillness.counts[name] - past.counted[name]
+                                           ) - self._left_out.get(name, 0)
             if taken + empty and _many(nan, rows + empty):
                 self.note(f"NaN {name}", now,
                           f"{name}: NaN in {nan} of {rows + empty} samples ({source.name})")

@@ -99,7 +99,8 @@ class Monitor:
         self.aligner = RowAligner([e.source for t in self._topics for e in t.entries],
                                   self.settings.monitor.latency)
         self.watch = FaultWatch(self.aligner.sources, self.settings.rig.sample_time,
-                                self.settings.monitor.latency)
+                                self.settings.monitor.latency,
+                                self.settings.rig.motion == "rotary")
         self._clashes: list[str] = []
         self._warned: dict[str, float] = {}  # kind of problem -> when it last stood, s
         self._diverged: dict[str, int] = {}  # since when by the rows' stamps, ns
