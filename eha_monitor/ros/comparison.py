@@ -16,6 +16,9 @@ from eha_monitor.settings import Settings
 
 BEGINS = "the model does not fit"
 EVERY_S = 120.0  # at least: a leak, or what changes slowly, moves nothing
+# What has moved may still move at the first rows: those say nothing of the state since, and a second
+# look, at a change without a name, is without them.
+MOVES_S = 6.0
 LATEST_S = 60.0  # of rows at most, where other comparisons were waited for: of one state
 
 
@@ -110,7 +113,8 @@ class Comparison:
             COMPARING.take(self)
             self._saving, self._last_s, self._compared = True, now_s, self._due
             latest = self._log_ns(now_s - max(LATEST_S, enough))
-            self._keeper.save_since(max(self._due[1], latest), self._saved)
+            begins = self._due[1] + (round(1e9 * MOVES_S) if self._again else 0)
+            self._keeper.save_since(max(begins, latest), self._saved)
 
     def _saved(self, bag: Saved) -> None:
         if not self._saving:
