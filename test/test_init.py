@@ -246,6 +246,17 @@ def test_the_namespace_of_a_bag_is_written(tmp_path, capsys):
     assert load_settings("my_rig.yaml").monitor.namespace == "/press_3"
 
 
+@pytest.mark.parametrize("unit, size", [("bar", 1e-5), ("kPa", 1e-3)])
+def test_gauge_pressures_of_messages_that_are_not_in_pascal(tmp_path, capsys, unit, size):
+    values = SEEN | {name: (SEEN[name] - 101325.0) * size for name in ("p1", "p2")}
+    write_recording(tmp_path / "bag", Recording(1e-3, values), Settings())
+    status, out, _ = init(capsys, tmp_path / "bag", "--yes", *sets(*SHEET, "pressures=gauge"))
+    assert status == 0
+    channels = load_settings("my_rig.yaml").channels
+    assert {channels[name].unit for name in ("p1", "p2")} == {f"{unit} gauge"}
+    assert re.search(r"stage one +B +(59|60)\d", out)
+
+
 def test_a_mat_file_without_names(tmp_path, capsys):
     from scipy.io import savemat
 

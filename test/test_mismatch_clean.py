@@ -43,3 +43,14 @@ def test_clean_triangles_of_drifting_rigs_name_nothing():
     """Of five such nights two named a relief valve, 26 log units each."""
     for number in range(6):
         check(number, 24.0)
+
+
+def test_a_leak_in_slow_motion_is_no_soft_oil():
+    """Where B and beta_e alone make up for it, and a narrow valley leads no further."""
+    sine = {"kind": "sine", "amplitude": 0.02, "frequency": 0.4}
+    leaking = simulated(sine, 20.0, effects={"cross_port_leakage": {"L": 4e-12}})
+    found = diagnose([leaking.recording(1)], settings())
+    oil = found.after["beta_e"]
+    assert abs(oil.value - 600e6) < 2.0 * oil.stddev < 400e6
+    (leak,) = (one for one in found.rig_within if one.key == "leakage")
+    assert abs(leak.found.value - 8.5e-12) < 3.0 * leak.found.stddev

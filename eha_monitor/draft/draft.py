@@ -20,7 +20,7 @@ from eha_monitor.draft.rig import (
     tolerances,
     too_short,
 )
-from eha_monitor.draft.sources import Source, namespace_of
+from eha_monitor.draft.sources import LEAST_PA, Source, namespace_of
 from eha_monitor.errors import InputError
 from eha_monitor.plausibility.judge import Plausibility, plausibility_of
 from eha_monitor.recordings.importing import read_table
@@ -34,6 +34,7 @@ from eha_monitor.settings.rig import Rig
 ASK = "ASK"
 _COLUMN = 34  # where comments begin, if there is room
 BELOW = 0.9e5  # Pa, lower than the open air anywhere on low ground: no absolute pressure at rest
+MOST_BAR = 1e3  # that a rig has; more is kPa
 # Units that a column may be in, by its channel; a factor that is none of them becomes a scale.
 UNITS = {"x": ("m", "mm", "cm", "um", "inch"), "x_d": ("m", "mm", "cm", "um", "inch"),
          "v": ("m/s", "mm/s", "cm/s", "m/min"),
@@ -389,7 +390,8 @@ def _in_another_unit(guess: Guess, name: str, factor: float, finding: ChannelFin
     unit = next((unit for unit in UNITS.get(name, ())
                  if isclose(unit_of(unit).factor, wanted, rel_tol=1e-4)), None)
     if unit is not None:
-        return replace(guess, unit=unit, why=_told(finding))
+        over = counted_from(guess.unit)  # "gauge" stays what was answered
+        return replace(guess, unit=f"{unit} {over}" if over else unit, why=_told(finding))
     return replace(guess, scale=float(f"{guess.scale * factor:.10g}"), why=_told(finding))
 
 
@@ -422,9 +424,16 @@ def absolute(found: Map) -> list[str]:
 
 
 def _counted_from(found: Map, name: str, over: str, why: str) -> Map:
+    """Return the map with a pressure that is counted so; its unit by its size where none is said.
+
+    What the recording corrects is a factor, and a zero is not multiplied: it begins near.
+    """
     guess = found.channels[name]
-    unit = f"{guess.unit or 'Pa'} {over}"  # messages are in SI
-    return found.with_channel(name, replace(guess, unit=unit, why=why))
+    most = np.nanmax(np.abs(guess.candidate.values))
+    sized = "" if guess.unit or most >= LEAST_PA else "bar" if most < MOST_BAR else "kPa"
+    return found.with_channel(name, replace(
+        guess, unit=f"{sized or guess.unit or 'Pa'} {over}",
+        why=f"{why}; {sized} by its size" if sized else why))
 
 
 def not_absolute(found: Map, recording: Recording, answers: Answers) -> tuple[Map, str]:

@@ -24,6 +24,7 @@ from eha_monitor.settings.channels import Table
 
 DELIMITERS = {"tab": "\t", ";": ";", ",": ",", "space": " "}
 LOOKED_AT = 400  # lines
+LEAST_PA = 5e4  # that a pressure of a rig in motion reaches, absolute or gauge
 RUN = 5  # lines of numbers, one below the other, that begin the data
 _NUMBER = re.compile(r"^[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?$")
 _STAMP = re.compile(r"^[\d./:TZ+ ,-]*\d[:./-]\d[\d./:TZ+ ,-]*$")
@@ -239,7 +240,7 @@ def _bag(path: Path) -> Source:
             shown = " ".join(part for part in (topic, name, where) if part)
             # The machine's own namespace, "/press_3", says nothing of what is measured.
             found.append(Candidate(place, shown, _of_message(
-                topic.removeprefix(machine), name, where), column))
+                topic.removeprefix(machine), name, where, column), column))
     if not found:
         raise InputError(f"{path}: expected messages with numbers, found none")
     return Source(path, True, tuple(found))
@@ -253,9 +254,14 @@ def namespace_of(topics: Iterable[str]) -> str:
     return commonpath([dirname(topic) for topic in topics]).rstrip("/")
 
 
-def _of_message(topic: str, name: str, where: str) -> Header:
-    """Return what topic, joint and field say; units of standard messages are SI."""
+def _of_message(topic: str, name: str, where: str, column: np.ndarray) -> Header:
+    """Return what topic, joint and field say; units of standard messages are SI.
+
+    A pressure that never reaches half a bar in Pa is in another unit, which its size says.
+    """
     unit = {"position": "", "fluid_pressure": "Pa", "temperature": "degC"}.get(where, "")
+    if unit == "Pa" and np.nanmax(np.abs(column)) < LEAST_PA:
+        unit = ""
     last = topic.rsplit("/", 2)[-2:]
     return read(" ".join((*last, name, "" if where == "data" else where)), unit)
 
