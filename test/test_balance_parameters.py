@@ -214,3 +214,23 @@ def test_live_as_offline(dry):
     assert taint.instead.status == "converged"
     offline = estimate(dry, settings()).parameters["B"]
     assert taint.instead.value == pytest.approx(offline.value, rel=0.02)
+
+
+def test_air_is_told_where_the_timing_hides_the_healthy_compliance():
+    """The pump's speed comes half a sample late: healthy oil reads as if it did not give way."""
+    chirp = {"kind": "chirp", "frequency": 0.2, "frequency_end": 1.5}
+
+    def recorded(amplitude, seed, beta=6e8):
+        found = simulated(chirp | {"amplitude": amplitude}, 20.0,
+                          rig={"bulk_modulus": beta}).recording(seed)
+        at = np.arange(len(found))
+        return replace(found, channels=found.channels | {
+            "omega": np.interp(at - 0.45, at, found.channels["omega"])})
+
+    machine = healthy_machine([recorded(amplitude, seed) for seed, amplitude in enumerate(
+        (0.018, 0.02, 0.022, 0.019))], settings())
+    found = against(machine, [recorded(0.02, 9, 2e8)], settings(), ("healthy",))
+    (change,) = found.changes
+    assert (found.verdict, change.what) == ("mismatch", "beta_e")
+    assert abs(change.now.value - 2e8) < 2.0 * change.now.stddev
+    assert against(machine, [recorded(0.02, 9)], settings(), ("healthy",)).verdict == "consistent"
