@@ -6,7 +6,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from pydantic import TypeAdapter
+from pydantic import TypeAdapter, ValidationError
 
 from eha_monitor.balances.alone import (
     FIRST_VIEW,
@@ -632,8 +632,14 @@ def _read(path: Path) -> Machine:
         data["scale"].setdefault("relaxed", data["scale"]["origin"])
         data["stiffness"] = _with_infinities(data.get("stiffness") or asdict(UNKNOWN))
         return TypeAdapter(Machine).validate_python(data)
-    except (ValueError, KeyError, TypeError, AttributeError) as problem:
-        raise InputError(f"{path}: {wanted}: {' '.join(str(problem).split())[:300]}") from problem
+    except ValidationError as problem:
+        first = problem.errors()[0]
+        raise InputError(f"{path}: {wanted}; {'.'.join(map(str, first['loc']))}: {first['msg']}"
+                         ) from problem
+    except KeyError as problem:
+        raise InputError(f"{path}: {wanted}, with the key {problem}") from problem
+    except (ValueError, TypeError, AttributeError) as problem:
+        raise InputError(f"{path}: {wanted}; {' '.join(str(problem).split())[:300]}") from problem
 
 
 def _with_infinities(tree):

@@ -26,7 +26,7 @@ from eha_monitor.words import effect_words, listed
 
 LINEAR = ("B", "B_t", "D_p", "C_h", "k_d")  # what the config's own model has; its oil warms
 TWINS = {"mass": ("pressure_delay",), "pump_displacement": ("pump_flow_gain",),
-         "position_gain": ("drive_gain", "command_delay")}
+         "position_gain": ("drive_gain", "command_delay", "position_delay")}
 DRY_SYMBOLS = {"F_c", "F_d"}
 LARGEST = 0.998  # quantile of a term that is its size
 TOLD = 0.01  # a spread between recordings that is a smaller share is none to speak of

@@ -80,6 +80,7 @@ class SelfDiagnosis:
         self._coming: Candidate | None = None
         self._target: Adopted | None = None  # of the exchange that is under way
         self._gate = False
+        self._caution = ""  # with which an answer is put in force
         self._events, self._last_event = 0, {}
         self._waits = ""  # who asked for a diagnosis while another was under way, or a bag saved
         self._comparison = Comparison(settings, keeper, self._tell, self._log_ns) if (
@@ -359,6 +360,8 @@ class SelfDiagnosis:
     def _try(self, answer: Answer | None, by: str) -> None:
         """Begin to exchange the model: for that of an answer, or back for that of the config."""
         self._by, self._gate = by, by == AUTOMATIC
+        self._caution = "" if answer is None or answer.verdict == "mismatch" else (
+            f"; the verdict of its diagnosis is {answer.verdict}: look whether the model fits now")
         self._target = None if answer is None else Adopted(
             by, "", effects_in_words(answer), str(answer.folder / "report.html"),
             model_of(self._settings), model_of(answer.completed), answer.spread)
@@ -396,10 +399,10 @@ class SelfDiagnosis:
         self._over()
         done = (f"reverted from {before.words if before else 'nothing'} to the config's model"
                 if self.adopted is None else f"adopted {self.adopted.words}")
-        self._tell(f"{done}, {_BY.get(self._by, self._by)}, at {now}{unkept}")
+        self._tell(f"{done}, {_BY.get(self._by, self._by)}, at {now}{self._caution}{unkept}")
         service = self._services["revert" if self.adopted is None else "adopt"]
         service.take_up()
-        service.answer(True, f"{done}{unkept}")
+        service.answer(True, f"{done}{self._caution}{unkept}")
         self._exchange(coming.estimator, self.in_force)
 
     # ---- telling --------------------------------------------------------------------------------
