@@ -15,7 +15,7 @@ from eha_monitor.ros.keeper import Keeper
 from eha_monitor.settings import Settings
 
 BEGINS = "the model does not fit"
-EVERY_S = 120.0  # at least: a leak, or what changes slowly, moves nothing
+EVERY_S = 60.0  # at least: a leak, or what changes slowly, moves nothing
 # What has moved may still move at the first rows: they say nothing of the state since, and a
 # second look, at a change without a name, is without them.
 MOVES_S = 6.0
