@@ -522,8 +522,8 @@ def drive_candidates(scale: Scale, rig: Rig) -> tuple[Candidate, ...]:
             lambda c, r: -slope(c.wanted, c.dt), variant=True, symbol="tau", power=2.0,
             limit=1.0, twins=("command_delay",)),
         # Where the position loop's gain is the config's, its tolerance is free in every model.
-        # A setpoint that comes late by T takes K T x_d' from it, a position K T x': where the piston
-        # follows, as much as a smaller gain.
+        # A setpoint that comes late by T takes K T x_d' from it, a position K T x': where the
+        # piston follows, as much as a smaller gain.
         one("k_d", "drive_gain", "1", "gain of the drive beyond the config's", 0,
             lambda c, r: c.wanted, always=rig.position_gain is not None, symbol="k", power=1.0,
             configured=1.0,  # it is a share of the config's

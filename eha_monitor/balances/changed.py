@@ -260,7 +260,8 @@ def _in_words(moved: Moved, settings: Settings, oils: tuple[Stiffness, Stiffness
         if softer > 0.0:
             return (Value(*known[0], "Pa"),
                     Value(1.0 / softer, moved.stddev / rig.volume_1 / softer**2, "Pa"), "Pa")
-    if c.name == "C_h" and rig.volume_1 and min(moved.machine, moved.here) > 0.0:
+    if c.name == "C_h" and rig.volume_1 and min(moved.machine, moved.here) > 0.0 and all(
+            POLICY.sure(*one) for one in pair):
         pair = tuple((rig.volume_1 / value, rig.volume_1 / value**2 * stddev)
                      for value, stddev in pair)
         return Value(*pair[0], "Pa"), Value(*pair[1], "Pa"), "Pa"

@@ -57,7 +57,9 @@ def compared(recordings: Sequence[Recording], references: Sequence[Recording],
         moving, courses, lines = courses_of(references, settings)
         found = against(healthy_machine_of(courses, settings), recordings, settings,
                         tuple(one.source for one in moving))
-        if found.verdict == "consistent":
+        # Of a compliance that timing or noise hides, balances know the change and not the oil.
+        if found.verdict == "consistent" or (
+                found.changes and {one.what for one in found.changes} == {"compliance"}):
             found = _by_filter(found, recordings, moving, settings)
     left_out = tuple(f"reference {line}, so it says nothing of the healthy machine"
                      for line in lines)
