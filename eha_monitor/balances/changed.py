@@ -122,7 +122,7 @@ def against(machine: Machine, recordings: Sequence[Recording], settings: Setting
         moved, changes, strict=False) if change.symbol and not zero)
     where, curves = place_of(models, courses, () if zero else changes, (), verdict)
     if zero:
-        where = Location(dict.fromkeys(WHERE, 0.0) | {"sensor": 1.0}, "", ())
+        where = Location(dict.fromkeys(WHERE, 0.0) | {"sensor": 1.0}, "always", ())
     elif changes:
         where = Location(shares_of(changes, where.balance), where.regime, where.intervals_s)
     return Diagnosis(

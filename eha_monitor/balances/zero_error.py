@@ -88,5 +88,5 @@ def change_of(errors: Sequence[ZeroError], load: Moved, runs: str) -> Change:
     return Change(
         ZERO, CHAMBERS[one.channel][2], "sensor", Value(0.0, one.stddev, "Pa"),
         Value(one.value, one.stddev, "Pa"), "Pa",
-        f"{one.words}{more}: beside {runs} it reads as a load of {force}, and as all else that "
-        "differs")
+        f"{one.words}{more}: that explains a force of {force}, and all else that differs from "
+        f"{runs}")
