@@ -218,6 +218,21 @@ def test_numbers_that_are_a_little_wrong_are_no_mistake(factors, volume):
     assert not plausibility_of(recording, config).findings
 
 
+@pytest.mark.parametrize("rig", [{}, OTHER], ids=["paper", "single rod"])
+@pytest.mark.parametrize("effects", [{}, {"coulomb_friction": {"F_c": 60.0}}],
+                         ids=["plain", "dry friction"])
+def test_a_part_of_a_slow_stroke_contradicts_nothing(rig, effects):
+    recording, config = made({**TRIANGLE, "frequency": 0.02, "amplitude": 0.02}, 30.0, effects,
+                             **rig)
+    rng = np.random.default_rng(7)
+    for _ in range(30):
+        start, length = rng.uniform(1.5, 24.0), rng.uniform(1.5, 6.0)
+        rows = slice(*(round(t / recording.sample_time) for t in (start, start + length)))
+        part = replace(recording, channels={name: values[rows] for name, values in
+                                            recording.channels.items()})
+        assert not plausibility_of(part, config).blocking
+
+
 @given(strategies.lists(strategies.sampled_from(
     [0.0, 1e-300, 1.0, 1e30, 1e200, -1e300, math.inf, -math.inf, math.nan]),
     min_size=5, max_size=5), strategies.integers(0, 300))

@@ -14,7 +14,6 @@ from eha_monitor.balances.judge import (
     JudgedBalance,
     Moved,
     explains,
-    judge,
     left_unseen,
     within_stroke,
 )
@@ -24,7 +23,7 @@ from eha_monitor.balances.named import size_of
 from eha_monitor.balances.parameters import Stiffness, stiffness_of
 from eha_monitor.balances.policy import POLICY
 from eha_monitor.balances.scatter import limit_of, t_of_next
-from eha_monitor.balances.viscous import beside_viscosity
+from eha_monitor.balances.viscous import judge_with_oil
 from eha_monitor.balances.warmth import at_oil, viscosity_of
 from eha_monitor.balances.zero_error import change_of, load_of, without_offset, zero_errors
 from eha_monitor.errors import InputError
@@ -71,14 +70,13 @@ def against(machine: Machine, recordings: Sequence[Recording], settings: Setting
     recordings, courses, left_out = courses_of(recordings, settings)
     if not any(course.shows for course in courses):
         return replace(still(recordings, courses, (), started), references=references)
-    courses, outside = within_stroke(machine.moved(courses), machine.scale)
+    courses, outside = within_stroke(machine, courses)
     if outside > machine.policy.open:
         return replace(still(recordings, courses, (), started), references=references, message=(
             f"{share(outside, 2)} of its motion is where none of the healthy recordings has "
             "been: record it on the same part of the stroke"))
     apart = _apart(machine, balances_in(courses, rig), settings, references)
-    viscosity = viscosity_of(courses)
-    judged = beside_viscosity(machine, judge(machine, courses, settings), viscosity).apart()
+    judged = judge_with_oil(machine, courses, settings)
     zero, load = (), load_of(judged)
     if load is not None:
         errors = [one for one in zero_errors(machine, recordings, settings, load)
@@ -136,8 +134,8 @@ def against(machine: Machine, recordings: Sequence[Recording], settings: Setting
                 f"{share(left, 2)} of it unexplained in its own recordings (diagnose these "
                 "together: what is missing there?)" for one, left in blind.items()),
         where, effects,
-        _health(machine, judged, stiffness, viscosity, before=True),
-        _health(machine, judged, stiffness, viscosity, before=False),
+        _health(machine, judged, stiffness, viscosity_of(courses), before=True),
+        _health(machine, judged, stiffness, viscosity_of(courses), before=False),
         "held_out", {one.balance: SignalFit(
             SIDES[one.balance], one.nominal_error * one.size, one.error * one.size, one.floor,
             signal_rms=one.size) for one in models}, curves,

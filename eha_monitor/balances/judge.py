@@ -8,7 +8,7 @@ import numpy as np
 
 from eha_monitor import ties
 from eha_monitor.balances.alone import covariance_by_chance, form_and_doubts, movement
-from eha_monitor.balances.candidates import DRY, Candidate, Scale, balances_in, candidates_of
+from eha_monitor.balances.candidates import DRY, Candidate, balances_in, candidates_of
 from eha_monitor.balances.course import Course
 from eha_monitor.balances.least_squares import weights_of
 from eha_monitor.balances.machine import Machine, MachineBalance, oil_of, usual_of
@@ -256,12 +256,13 @@ def within_speed(courses: Sequence[Course], tops: Sequence[float]) -> list[Cours
             for course in courses for top in tops] or list(courses)
 
 
-def within_stroke(courses: Sequence[Course], scale: Scale) -> tuple[list[Course], float]:
+def within_stroke(machine: Machine, courses: Sequence[Course]) -> tuple[list[Course], float]:
     """Return motions without the samples where no healthy recording has been, and their share.
 
     What a volume, a spring or a seal does there nobody has seen in health: of chambers half as
     large the oil read 15 times as stiff.
     """
+    courses, scale = machine.moved(courses), machine.scale
     near, far = scale.origin - BEYOND * scale.span, scale.origin + (1.0 + BEYOND) * scale.span
     here = [(near <= course.x) & (course.x <= far) for course in courses]
     found = [replace(course, good=course.good & inside, moving=course.moving & inside)

@@ -6,17 +6,26 @@ ln B + ln L hardly at all.  Where that is so, a recording is compared by that su
 off, either B or L has changed, whichever asks for an oil more like that of the references.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from eha_monitor.balances.candidates import FORCE_OF_SENSORS
-from eha_monitor.balances.judge import Judged, Moved
+from eha_monitor.balances.course import Course
+from eha_monitor.balances.judge import Judged, Moved, judge
 from eha_monitor.balances.machine import Machine
 from eha_monitor.balances.scatter import t_of_next
-from eha_monitor.balances.warmth import damping_at
+from eha_monitor.balances.warmth import damping_at, viscosity_of
+from eha_monitor.settings.monitor import Settings
 
 VISCOUS = ("B", "L")
+
+
+def judge_with_oil(machine: Machine, courses: Sequence[Course], settings: Settings) -> Judged:
+    """Judge motions against a machine by their balances, and by the viscosity of their oil."""
+    return beside_viscosity(machine, judge(machine, courses, settings),
+                            viscosity_of(courses)).apart()
 
 
 def beside_viscosity(machine: Machine, judged: Judged, viscosity: float) -> Judged:

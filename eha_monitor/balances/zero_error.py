@@ -10,11 +10,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from eha_monitor.balances.course import Course, courses_of
-from eha_monitor.balances.judge import Judged, Moved, judge, within_stroke
+from eha_monitor.balances.judge import Judged, Moved, within_stroke
 from eha_monitor.balances.machine import Machine
 from eha_monitor.balances.model import LOAD
-from eha_monitor.balances.viscous import beside_viscosity
-from eha_monitor.balances.warmth import viscosity_of
+from eha_monitor.balances.viscous import judge_with_oil
 from eha_monitor.mismatch.diagnosis import Change, Value
 from eha_monitor.quantity import with_uncertainty
 from eha_monitor.recordings.recording import Recording
@@ -65,9 +64,8 @@ def zero_errors(machine: Machine, recordings: Sequence[Recording], settings: Set
         value = (load.here - load.machine) * slope
         right = [replace(one, channels=one.channels | {channel: one.channels[channel] - value})
                  for one in recordings]
-        courses, _ = within_stroke(machine.moved(courses_of(right, settings)[1]), machine.scale)
-        judged = beside_viscosity(machine, judge(machine, courses, settings),
-                                  viscosity_of(courses)).apart()
+        courses, _ = within_stroke(machine, courses_of(right, settings)[1])
+        judged = judge_with_oil(machine, courses, settings)
         if judged.belongs:
             found.append(ZeroError(channel, value, abs(load.apart * slope), judged, courses))
     return found

@@ -57,6 +57,8 @@ class Moments:
     place : (channel, order of derivative or ``DIRECTION``) -> column; only channels that vary.
     gram : (m, m) mean products of the columns, each centred and divided by ``scale``.
     scale : (m,) standard deviation of each column, SI.
+    mean : (m,) mean of each column over its standard deviation; 0 for positions, whose zero is
+        anywhere.
     noise : (m,) share of each column's variance that is the sensor's white noise.
     levels : channel -> :class:`Level` of the raw samples.
     same : pairs of channels that hold the same numbers.
@@ -66,6 +68,7 @@ class Moments:
     place: dict[tuple[str, int], int]
     gram: np.ndarray
     scale: np.ndarray
+    mean: np.ndarray
     noise: np.ndarray
     levels: dict[str, Level]
     same: tuple[tuple[str, str], ...]
@@ -98,17 +101,19 @@ def moments_of(recording: Recording) -> Moments:
             made.append(made[1] / (np.abs(made[1]) + SLOW * rms) if rms > 0 else made[1])
             for order, column in enumerate(made):
                 place[name, order] = len(columns)
-                columns.append(column)
+                columns.append(column - column.mean() if name in ("x", "x_d") and not order
+                               else column)
     table = np.array(columns) if columns else np.empty((0, 0))
     if not np.isfinite(table).all() or np.abs(table).max(initial=0.0) > OVERFLOWS:
         place, table, noise = {}, table[:0], []
+    mean = table.mean(axis=1) if len(table) else np.empty(0)
     if len(table):
-        table = table - table.mean(axis=1, keepdims=True)
+        table = table - mean[:, None]
     scale = np.sqrt(np.mean(table**2, axis=1)) if len(table) else np.empty(0)
-    unit = table / np.where(scale > 0, scale, 1.0)[:, None]
-    share = np.array(noise) / np.where(scale > 0, scale, 1.0) ** 2
-    return Moments(place, unit @ unit.T / max(table.shape[1], 1), scale, share, levels, same,
-                   recording.sample_time)
+    size = np.where(scale > 0, scale, 1.0)
+    unit = table / size[:, None]
+    return Moments(place, unit @ unit.T / max(table.shape[1], 1), scale, mean / size,
+                   np.array(noise) / size**2, levels, same, recording.sample_time)
 
 
 def while_all_are_there(piece: dict[str, np.ndarray]) -> dict[str, np.ndarray]:

@@ -20,6 +20,10 @@ from eha_monitor.settings.channels import CHANNEL_UNITS
 # Of the share of a side that the others cannot explain: below, they are the same thing.
 DISTINCT = 1e-3
 NOISY = 0.3  # of a side's variance must be signal
+# Of the left side's mean, what honest physics and numbers a little wrong may vary unexplained
+# in a stroke at constant speed.
+UNSURE = 0.05
+VARIES = 2.0  # times that much must the left side vary, to be asked at all
 COLLINEAR = 1e-9  # share of a side that others leave of it, below which it is one of them
 
 
@@ -59,6 +63,16 @@ class Reading:
         return all(role in self.roles and (self.roles[role].channel, 0) in self.moments.place
                    for role in roles)
 
+    @property
+    def one_way(self) -> float:
+        """Share of the piston's speed that is its mean, 0 to 1: 1 for a constant speed.
+
+        Beside motion both ways, a mean is a load or a zero error, which does not vary.
+        """
+        place = self.moments.place.get((self.roles["x"].channel, 1)) if "x" in self.roles else None
+        mean = self.moments.mean[place] if place is not None else inf
+        return 1.0 / sqrt(1.0 + 1.0 / mean**2) if mean else 0.0
+
     def column(self, role: str, order: int = 0, scale: float = 1.0) -> np.ndarray:
         """Return ``scale`` times a derivative of a role as (m,) weights of the columns."""
         source, out = self.roles[role], np.zeros(len(self.moments.scale))
@@ -72,7 +86,9 @@ class Reading:
 class Ratio:
     """Slope of one side on the other beside the rest, and their partial correlation.
 
-    ``share`` is the part of the left side's variance that all of the right side explains.
+    In a stroke at constant speed, what varies is what the relation leaves out: ``UNSURE`` of the
+    left side's mean counts as unexplained there.  ``share`` is the part of the left side's
+    variance that all of the right side explains.
     """
 
     slope: float
@@ -94,8 +110,10 @@ def ratio(reading: Reading, left: np.ndarray, right: np.ndarray, *beside: np.nda
         return None
     left_blur, right_blur = (sides[:2] ** 2 @ reading.moments.noise).tolist()
     whole, other = c[0][0], c[1][1]
+    unsure = (UNSURE * reading.one_way * float(left @ reading.moments.mean)) ** 2
     swept(c)
-    if c[1][1] < DISTINCT * other or c[0][0] < 1e-12 * whole:
+    if (c[1][1] < DISTINCT * other or c[0][0] < 1e-12 * whole
+            or whole < VARIES**2 * unsure):
         return None
     # White noise of the sensors is no physics that is missing, and draws no slope to zero.
     signal = c[1][1] - right_blur
@@ -106,7 +124,7 @@ def ratio(reading: Reading, left: np.ndarray, right: np.ndarray, *beside: np.nda
     if left_blur < c[0][0]:  # more than all there is cannot be noise: then none is known
         rest -= left_blur
     rest = max(rest, 1e-9 * c[0][0])
-    rho = copysign(sqrt(explains / (explains + rest)), c[0][1])
+    rho = copysign(sqrt(explains / (explains + rest + unsure)), c[0][1])
     return Ratio(c[0][1] / signal, rho, min(max(1.0 - rest / whole, 0.0), 1.0))
 
 
