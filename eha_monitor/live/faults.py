@@ -87,8 +87,7 @@ class Leaps:
         if self._raw is not None and abs(t[0] - self._raw[0]) > INTERRUPTED_S:
             self._good = self._raw = None  # where it has gone meanwhile nobody knows
         first = (t[0], v[0]) if self._good is None else self._good
-        far = np.abs(np.diff(v, prepend=first[1])) > self._rate * np.clip(
-            np.diff(t, prepend=first[0]), self._least, REACH_S)
+        far = self._leaps(np.diff(t, prepend=first[0]), np.diff(v, prepend=first[1]))
         if not far.any() and self._good is self._raw:
             self._good = self._raw = (float(t[-1]), float(v[-1]))
             return out
@@ -97,9 +96,10 @@ class Leaps:
             if self._good is None:
                 self._good = self._raw = here
                 continue
-            leapt = self._leaps(self._raw, here)
+            leapt = bool(self._leaps(moment - self._raw[0], value - self._raw[1]))
             self._raw, lost = here, self._raw is not self._good
-            if not self._leaps(self._good, here) and not (lost and leapt):
+            if not self._leaps(moment - self._good[0], value - self._good[1]) and not (
+                    lost and leapt):
                 self._good = here
                 continue
             if not lost or leapt:
@@ -110,9 +110,9 @@ class Leaps:
                 out[at] = True
         return out
 
-    def _leaps(self, before: tuple[float, float], here: tuple[float, float]) -> bool:
-        apart = min(max(here[0] - before[0], self._least), REACH_S)
-        return abs(here[1] - before[1]) > self._rate * apart
+    def _leaps(self, apart: np.ndarray | float, by: np.ndarray | float) -> np.ndarray:
+        """Tell whether values move by more than they can in the time ``apart``, s."""
+        return np.abs(by) > self._rate * np.clip(apart, self._least, REACH_S)
 
 
 class Stillness:
@@ -297,9 +297,8 @@ class FaultWatch:
         self.stillness = Stillness()
         self.missing = 0
         self._looked = False
-        self._wild: dict[str, float] = {}  # channel -> its last value beyond every sensor
+        self._no_values: dict[str, str] = {}  # sentence of values left out since the last look
         self._left_out: dict[str, int] = {}  # channel -> how many values, since the last look
-        self._leapt: dict[str, float] = {}  # the same, beyond where it can have come to
         self._leaps = {name: Leaps(rate * (ROTARY if rotary and name == "x" else 1.0),
                                    sample_time) for name, rate in LEAPS.items()}
 
@@ -309,12 +308,19 @@ class FaultWatch:
         for name, values in rows.columns.items():
             wild = np.abs(values) > LARGEST[name]  # no sensor can show it; the next look names it
             if wild.any():
-                self._wild[name] = float(values[wild][-1])
+                limit, unit = LIMITS[name]
+                self._no_values[f"wild {name}"] = (
+                    f"{name}: {values[wild][-1]:.3g} {unit} is not a valid measurement (beyond "
+                    f"±{limit:.0e} {unit}), left out")
                 values = self._without(wild, name, values)
             if name in self._leaps:
                 leapt = self._leaps[name].take(rows.stamps * 1e-9, values)
                 if leapt.any():
-                    self._leapt[name] = float(values[leapt][-1])
+                    self._no_values[f"leap {name}"] = (
+                        f"{name} leaps to {values[leapt][-1]:.3g} {LIMITS[name][1]}, farther than "
+                        "it can move within a sample (another unit, a counter that was reset?): "
+                        "left out until it is back, or has moved without a leap for "
+                        f"{STEADY_S:g} s")
                     values = self._without(leapt, name, values)
             columns[name] = values
         rows = replace(rows, columns=columns)
@@ -371,18 +377,9 @@ class FaultWatch:
             past.counts, past.rows = source.counts(), self.stillness.rows
             past.counted = {name: self.stillness.counts.get(name, 0) for name in source.channels}
         self._left_out.clear()
-        while self._wild:
-            channel, value = self._wild.popitem()
-            limit, unit = LIMITS[channel]
-            self.note(f"wild {channel}", now, f"{channel}: {value:.3g} {unit} is not a valid "
-                                              f"measurement (beyond ±{limit:.0e} {unit}), left "
-                                              "out")
-        while self._leapt:
-            channel, value = self._leapt.popitem()
-            self.note(f"leap {channel}", now, (
-                f"{channel} leaps to {value:.3g} {LIMITS[channel][1]}, farther than it can move "
-                "within a sample (another unit, a counter that was reset?): left out until it is "
-                f"back, or has moved without a leap for {STEADY_S:g} s"))
+        for key, sentence in self._no_values.items():
+            self.note(key, now, sentence)
+        self._no_values.clear()
         fresh = {}
         for channel, (seconds, since_ns, new) in self.stillness.look().items():
             reference = self.stillness.reference(channel)
