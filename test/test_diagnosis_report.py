@@ -394,7 +394,7 @@ def test_a_name_of_the_balances_alone_is_not_called_impermanent():
 
 
 @pytest.mark.parametrize(("found", "written", "words"), [
-    ({"makeup_conductance": 2e-12}, {"makeup_conductance": 2e-12, "leakage": 2e-12},
+    ({"makeup_conductance": 2e-12}, {"makeup_conductance": 5e-13},
      "makeup_conductance is a part of leakage"),
     ({"leakage": 4e-14}, {"leakage": 4e-14, "makeup_conductance": 4e-14}, "part of leakage"),
     ({"leakage": 1e-12, "makeup_conductance": 2e-12},

@@ -207,9 +207,8 @@ def corrected(rig: Rig, found: dict[str, float]) -> tuple[dict[str, float], dict
             changed[key] = rounded(value)
     leakage = changed.get("leakage", rig.leakage)
     makeup = changed.get("makeup_conductance", rig.makeup_conductance)
-    if makeup > leakage:  # the make-up path is a part of the leakage
-        follows = "makeup_conductance" if "leakage" in changed else "leakage"
-        changed[follows] = makeup if follows == "leakage" else leakage
+    if makeup > leakage:  # the make-up path is a part of it, and the whole is what the flow shows
+        changed["makeup_conductance"] = leakage
     return changed, refused
 
 

@@ -39,6 +39,7 @@ RIG_STEP = 1e-3  # of a tolerance's logarithm: for its sensitivity
 ASTRAY, ASTRAY_OWNER = 1e30, "astray"  # a run that went astray says nothing
 LOOSE = 0.1  # of a logarithm: a number that may be off by so much does not act in proportion
 FAR_OFF = 5.0  # of its deviations: where such a number is tried, either way
+MAKEUP = "makeup_conductance"
 INVERSE = ("mass", "volume_1", "volume_2")
 REPLACING = 100  # variants from here on grow out of an effect that the model has
 
@@ -111,7 +112,10 @@ def rig_free(experiment: Experiment, beside: Sequence[str] = ()) -> tuple[Free, 
         if value:
             width = rig.tolerance.log_spread(key)
             reach = float(np.exp(policy.sure * width))  # what is further off is wrong
-            found.append(Free(RIG + key, place, value / reach, value * reach,
+            most = value * reach
+            if key == MAKEUP and value < rig.leakage:
+                most = min(most, rig.leakage)  # of which it is a part
+            found.append(Free(RIG + key, place, value / reach, most,
                               float(np.log(value)), width, True))
     return tuple(found)
 

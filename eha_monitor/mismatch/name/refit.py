@@ -16,6 +16,7 @@ from eha_monitor.mismatch.likelihood.gains import Unknowns, expected_covariance,
 from eha_monitor.mismatch.name.candidates import candidate
 from eha_monitor.mismatch.name.columns import (
     ALWAYS,
+    MAKEUP,
     Column,
     placed,
     rig_free,
@@ -262,10 +263,15 @@ def informed(experiment: Experiment, what: tuple[Column, ...], ranked: Ranked) -
 
 
 def wide(f: Free, policy: SearchPolicy) -> Free:
-    """Return a number of the rig that may be wrong altogether."""
+    """Return a number of the rig that may be wrong altogether.
+
+    A path to the make-up source stays a part of the leakage: with a larger one the rest, across
+    the piston, would flow from the lower pressure to the higher.
+    """
     value = float(np.exp(f.prior))
     return replace(f, spread=min(policy.wrong * f.spread, float(np.log(WRONG_BY))),
-                   lower=value / WRONG_BY, upper=value * WRONG_BY)
+                   lower=value / WRONG_BY,
+                   upper=f.upper if f.symbol == MAKEUP else value * WRONG_BY)
 
 
 def guess(column: Column, amplitude: float) -> float:
