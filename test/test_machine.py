@@ -383,6 +383,12 @@ def test_the_command_writes_and_reads_a_machine(recordings, settings, tmp_path, 
     tree = json.loads(answer.read_text())
     assert tree["verdict"] == "consistent"
     assert tree["machine"]["recordings"] == len(bags)
+    again = CliRunner().invoke(command, [bags[1], "--config", str(config), "--reference",
+                                         str(file)], catch_exceptions=False)
+    assert again.output.splitlines()[1] == done.output.splitlines()[1]
+    both = CliRunner().invoke(command, [bags[1], "--config", str(config), "--reference",
+                                        str(file), "--reference", bags[0]])
+    assert "machine.json alone" in str(both.exception)
     with pytest.raises(InputError, match="expected one recording"):
         import eha_monitor as em
 

@@ -1,4 +1,4 @@
-"""A load is told from the zero of a pressure sensor by what else moves with it."""
+"""A sensor's error is told from what one balance takes it for by what else moves with it."""
 
 from dataclasses import replace
 
@@ -35,6 +35,35 @@ def test_a_sensor_that_reads_too_high_is_no_load_and_no_leak(healthy, channel, o
     right = off if change.symbol == {"p1": "b_1", "p2": "b_2"}[channel] else -off
     assert abs(change.now.value - right) < 3.0 * change.now.stddev < 0.1 * abs(off)
     assert found.location.balance["sensor"] == 1.0
+
+
+@pytest.mark.parametrize("late", [0.004, 0.008])
+def test_a_position_that_is_late_is_no_slower_pump_and_no_smaller_gain(healthy, late):
+    recording = now()
+    t = recording.sample_time * np.arange(len(recording))
+    x = np.interp(t - late, t, recording.channels["x"])
+    found = compared([replace(recording, channels=recording.channels | {"x": x})], healthy,
+                     settings(rig=LEAKS))
+    (change,) = found.changes
+    assert (found.verdict, change.what, change.symbol) == ("mismatch", "position_delay", "T")
+    assert change.now.value == pytest.approx(late, rel=0.03) and "ms late" in found.message
+
+
+def test_a_smaller_gain_of_the_drive_is_no_late_position(healthy):
+    slow = simulated(MOTION, 20.0, rig=LEAKS | {"position_gain": 0.9 * 23000.0}).recording(9)
+    (change,) = compared([slow], healthy, settings(rig=LEAKS)).changes
+    assert change.what == "drive_gain" and "position_delay" not in change.indistinguishable_from
+
+
+@pytest.mark.parametrize("off", [0.04, -0.04])
+def test_a_pressure_sensor_of_another_scale_is_among_what_is_told(healthy, off):
+    recording = now()
+    channels = recording.channels | {"p1": recording.channels["p1"] * (1.0 + off)}
+    found = compared([replace(recording, channels=channels)], healthy, settings(rig=LEAKS))
+    change, *others = found.changes
+    assert not others and (
+        change.what == "pressure_scale" or "too much" in change.statement
+        or "too little" in change.statement or "pressure_scale" in change.indistinguishable_from)
 
 
 def test_a_load_is_no_error_of_a_sensor(healthy):

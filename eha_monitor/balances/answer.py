@@ -387,6 +387,8 @@ def place_of(models: Sequence[Model], courses: Sequence[Course],
             SIDE_OF[one.key] for one in wrong}
         weights = {one.balance: max(one.nominal_error**2 - one.error**2, 1e-12)
                    for one in models if one.balance in blamed}
+    if not weights:  # a sensor alone: no balance is to blame
+        return Location(shares, "always", ()), ()
     total = sum(weights.values()) or 1.0
     shares |= {name: weight / total for name, weight in weights.items()}
     worst = max(models, key=lambda one: shares[one.balance])

@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from eha_monitor.balances.answer import WHERE, overlay_of, place_of, still
+from eha_monitor.balances.answer import overlay_of, place_of, still
 from eha_monitor.balances.candidates import SIDES, balances_in
-from eha_monitor.balances.course import BOTH, Course, courses_of
+from eha_monitor.balances.course import Course, courses_of
 from eha_monitor.balances.judge import (
     Judged,
     JudgedBalance,
@@ -22,10 +22,10 @@ from eha_monitor.balances.model import LOAD, Model, Term, of_judged
 from eha_monitor.balances.named import size_of
 from eha_monitor.balances.parameters import Stiffness, stiffness_of
 from eha_monitor.balances.policy import POLICY
-from eha_monitor.balances.scatter import limit_of, t_of_next
-from eha_monitor.balances.viscous import judge_with_oil
+from eha_monitor.balances.scatter import limit_of
+from eha_monitor.balances.sensor_error import without_sensor_error
+from eha_monitor.balances.source import source_of
 from eha_monitor.balances.warmth import at_oil, viscosity_of
-from eha_monitor.balances.zero_error import change_of, load_of, without_offset, zero_errors
 from eha_monitor.errors import InputError
 from eha_monitor.mismatch.diagnosis import (
     Change,
@@ -43,8 +43,6 @@ from eha_monitor.settings.rig import Rig
 from eha_monitor.words import effect_words, listed
 
 SHARED = 0.5  # of a deviation: less of it is of the difference, so that is told too
-LOWEST = 0.05  # of the lowest pressure: less of it is no change
-LEAST_SPREAD = 1e-3  # of the lowest pressure: what healthy recordings differ by at least
 FASTER = 1.2  # times the references' speed: beyond it nothing is known of the machine
 WHAT = {"B": "B", "C_h": "beta_e", "D_p": "pump_displacement"}
 EFFECTS = {"viscous_damping": "B", "compliance": "beta_e"}
@@ -76,16 +74,8 @@ def against(machine: Machine, recordings: Sequence[Recording], settings: Setting
             f"{share(outside, 2)} of its motion is where none of the healthy recordings has "
             "been: record it on the same part of the stroke"))
     apart = _apart(machine, balances_in(courses, rig), settings, references)
-    judged = judge_with_oil(machine, courses, settings)
-    zero, load = (), load_of(judged)
-    if load is not None:
-        errors = [one for one in zero_errors(machine, recordings, settings, load)
-                  if _source(machine, one.courses, rig, None) is None]
-        if not errors:
-            judged = without_offset(judged, load)
-        elif len(judged.changed) > 1:  # one cause for all of it
-            zero = (change_of(errors, load, _runs(machine)),)
-            judged, courses = errors[0].judged, errors[0].courses
+    reading, sensor = without_sensor_error(machine, recordings, settings, courses)
+    judged, courses = reading.judged, reading.courses
     stiffness = stiffness_of(courses, rig)
     judged = replace(judged, balances=tuple(replace(one, changed=tuple(
         moved for moved in one.changed if not _as_stiff(moved, machine, stiffness)))
@@ -96,8 +86,8 @@ def against(machine: Machine, recordings: Sequence[Recording], settings: Setting
                else "unexplained")
     changes = tuple(_change(one, machine, settings, stiffness) for one in moved
                     ) if verdict == "mismatch" else ()
-    if zero:
-        verdict, changes = "mismatch", zero
+    if sensor:
+        verdict, changes = "mismatch", (*changes, *sensor)
     oil = None if any(one.what == "beta_e" for one in changes) else _oil(machine, stiffness)
     if oil is not None and {one.balance for one in judged.loud} <= {"flow"}:
         softer = judged if changes else _with_oil(machine, judged, stiffness, rig)
@@ -105,7 +95,7 @@ def against(machine: Machine, recordings: Sequence[Recording], settings: Setting
             verdict, changes, judged = "mismatch", (*changes, oil), softer
         else:
             verdict = "unexplained"
-    source = _source(machine, courses, rig, next(
+    source = source_of(machine, courses, rig, next(
         (one for one in moved if one.candidate.effect == LOAD), None))
     # More oil through a leak or from a pump holds an emptier chamber higher by itself.
     if source is not None and verdict != "unexplained" and not (
@@ -117,15 +107,13 @@ def against(machine: Machine, recordings: Sequence[Recording], settings: Setting
         verdict = "insufficient_data"
     models = [_model(one) for one in judged.balances]
     effects = tuple(_effect(one, change, models) for one, change in zip(
-        moved, changes, strict=False) if change.symbol and not zero)
-    where, curves = place_of(models, courses, () if zero else changes, (), verdict)
-    if zero:
-        where = Location(dict.fromkeys(WHERE, 0.0) | {"sensor": 1.0}, "always", ())
-    elif changes:
+        moved, changes, strict=False) if change.symbol)
+    where, curves = place_of(models, courses, changes, (), verdict)
+    if changes:
         where = Location(shares_of(changes, where.balance), where.regime, where.intervals_s)
     return Diagnosis(
         tuple(one.source for one in recordings), verdict,
-        _message(verdict, changes, judged, _runs(machine), tuple(
+        _message(verdict, changes, judged, machine.runs, tuple(
             _in_share(one, _change(one, machine, settings, stiffness)) for one in judged.small
             if one.candidate.balance not in {change.balance for change in changes}), tuple(
             _change(one, machine, settings, stiffness).statement for balance in judged.balances
@@ -266,12 +254,6 @@ def _in_words(moved: Moved, settings: Settings, oils: tuple[Stiffness, Stiffness
     return Value(*pair[0], c.unit), Value(*pair[1], c.unit), c.unit
 
 
-def _runs(machine: Machine) -> str:
-    """Return what the recordings are compared with."""
-    count = len(machine.sources)
-    return f"{count} {'parts of the ' if machine.pieces else ''}healthy recordings"
-
-
 def _change(moved: Moved, machine: Machine, settings: Settings, stiffness: Stiffness) -> Change:
     """Return the record of a number that has changed."""
     healthy, now, unit = _in_words(moved, settings, (machine.stiffness, stiffness))
@@ -281,7 +263,7 @@ def _change(moved: Moved, machine: Machine, settings: Settings, stiffness: Stiff
     if c.name == "C_h" and unit == c.unit:  # of nothing no modulus can be said
         what, words = c.effect, "the compliance of a chamber"
     symbol = "" if c.name in WHAT else c.symbol or c.name
-    runs, more = _runs(machine), moved.here - moved.machine
+    runs, more = machine.runs, moved.here - moved.machine
     by = "" if unit != c.unit or not moved.apart < SHARED * moved.stddev else (
         f", {with_uncertainty(abs(more), moved.apart, unit)} {'more' if more > 0.0 else 'less'}")
     return Change(what, symbol, c.balance, healthy, now, unit, (
@@ -333,49 +315,7 @@ def _oil(machine: Machine, stiffness: Stiffness) -> Change | None:
     healthy, now = Value(*of.modulus, "Pa"), Value(*stiffness.modulus, "Pa")
     return Change("beta_e", "", "flow", healthy, now, "Pa", (
         f"{WORDS['C_h']} is {with_uncertainty(now.value, now.stddev, 'Pa')}, where "
-        f"{_runs(machine)} have {with_uncertainty(healthy.value, healthy.stddev, 'Pa')}"))
-
-
-def _source(machine: Machine, courses: Sequence[Course], rig: Rig, load: Moved | None
-            ) -> Change | None:
-    """Return how the lowest pressure of the chambers has changed, if farther than healthy.
-
-    By Student's t for one further recording, and by more than ``LOWEST`` of itself.  What feeds
-    both has changed where both have; one alone has its own make-up valve, or sensor.  Behind a
-    valve, and where chambers are closed to each other, a load moves the lower pressure.  Nor has a
-    source risen below which a chamber still comes: a load leaves it less time there.
-    """
-    if machine.oil == BOTH or machine.pieces or not all(course.has_flow for course in courses):
-        return None
-    means = np.mean([course.lowest(rig) for course in courses], axis=0)
-    off, alike = {}, []  # chamber -> healthy and present pressure; those that are as before
-    for chamber, row, here in zip((1, 2), machine.lowest, means.tolist(), strict=True):
-        if not np.isfinite(here) or len(row) < machine.policy.fewest:
-            continue
-        of = float(np.mean(row))
-        spread = max(float(np.std(row, ddof=1)), LEAST_SPREAD * of)
-        t, limit = t_of_next(here - of, spread, len(row), machine.policy.false)
-        still = here > of and any(
-            course.as_low(rig, chamber, 0.5 * (here + of)) for course in courses)
-        if abs(t) > limit and abs(here - of) > LOWEST * of and not still:
-            off[chamber] = (of, here, spread)
-        else:
-            alike.append(chamber)
-    if not off:
-        return None
-    of, here, spread = np.mean(list(off.values()), axis=0).tolist()
-    if load is not None and abs(here - of) * min(rig.area_1, rig.area_2) <= abs(
-            load.here - load.machine):
-        return None
-    what, whose, rest = "charge_pressure", (
-        "the lowest pressure of a chamber, that of what feeds it (accumulator, check valve),"), ""
-    if alike:
-        what, whose, rest = "makeup_valve", f"the lowest pressure of chamber {min(off)}", (
-            f", and that of chamber {alike[0]} as before: its own make-up valve or line has "
-            "changed, not what feeds both")
-    return Change(what, "", "flow", Value(of, spread, "Pa"), Value(here, spread, "Pa"), "Pa", (
-        f"{whose} is {with_uncertainty(here, spread, 'Pa')}, where {_runs(machine)} have "
-        f"{with_uncertainty(of, spread, 'Pa')}{rest}"), ("pressure_offset",))
+        f"{machine.runs} have {with_uncertainty(healthy.value, healthy.stddev, 'Pa')}"))
 
 
 def _effect(moved: Moved, change: Change, models: Sequence[Model]) -> NamedEffect:

@@ -238,6 +238,11 @@ class Machine:
         return [(np.array(one.each)[:, j], np.array(one.each_stddev)[:, j])
                 for one in self.balances for j, p in enumerate(one.parameters) if p.name == name]
 
+    @property
+    def runs(self) -> str:
+        """What a recording of it is compared with, in words."""
+        return f"{len(self.sources)} {'parts of the ' if self.pieces else ''}healthy recordings"
+
     def __getitem__(self, balance: str) -> MachineBalance:
         return next(one for one in self.balances if one.balance == balance)
 

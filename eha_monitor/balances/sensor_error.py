@@ -1,90 +1,226 @@
-"""A constant force that came: a load, or the zero of a pressure sensor.
+"""Several numbers that changed, or one sensor.
 
-The force balance A1 p1 - A2 p2 sees no difference.  The others do: a sensor that reads b too high
-makes C_T b of leakage that is not there, and moves the lowest pressure of its chamber by b.  So
-each hypothesis is tried on the recordings themselves: with the channel less its zero error, is
-anything left of what had changed?
+One balance alone cannot tell a constant load from the zero of a pressure sensor, nor a pump whose
+flow lags from a position that is read late.  The others can: a pressure that is read b too high
+makes C_T b of leakage that is not there, and moves the lowest pressure of its chamber by b; a late
+position makes a smaller gain of the drive.  So each sensor whose error would make what changed is
+tried on the recordings themselves: with its channel corrected, what still differs?
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+
+import numpy as np
 
 from eha_monitor.balances.course import Course, courses_of
 from eha_monitor.balances.judge import Judged, Moved, within_stroke
 from eha_monitor.balances.machine import Machine
 from eha_monitor.balances.model import LOAD
+from eha_monitor.balances.source import source_of
 from eha_monitor.balances.viscous import judge_with_oil
 from eha_monitor.mismatch.diagnosis import Change, Value
 from eha_monitor.quantity import with_uncertainty
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings.monitor import Settings
+from eha_monitor.settings.rig import Rig
+from eha_monitor.words import effect_words, listed
 
-ZERO = "pressure_offset"
-# Channel -> area that its pressure acts on, and in which direction; the catalogue's parameter.
-CHAMBERS = {"p1": ("area_1", 1.0, "b_1"), "p2": ("area_2", -1.0, "b_2")}
+FURTHER, TWICE = 1.15, 2.0  # times the first value: where else it is tried, and at most
+FEWER = 2  # things that differ must a sensor's error, itself one, take away
+Corrected = Callable[[np.ndarray, float, float], np.ndarray]
 
 
 @dataclass(frozen=True)
-class ZeroError:
-    """A sensor of the pressure whose zero would make the force that came.
+class Fault:
+    """What may be wrong with one channel.
 
     Attributes
     ----------
-    channel : ``p1`` or ``p2``.
-    value, stddev : by how much it reads too high, Pa.
-    judged, courses : the recordings without it, in which nothing has changed.
+    effect, symbol, unit : of the catalogue.
+    channel : that is read wrongly.
+    symptoms : effects that a balance takes it for, the one that shows it best first: each with
+        what the error is for 1 of it, of the rig and the channel's mean, SI.
+    corrected : of the channel (n,), the error and the sample time, s: the channel without it.
+    words : that end "the sensor of p1 reads", with ``{}`` for the amount: too much and too little.
     """
 
+    effect: str
+    symbol: str
+    unit: str
     channel: str
-    value: float
-    stddev: float
+    symptoms: dict[str, Callable[[Rig, float], float]]
+    corrected: Corrected
+    words: tuple[str, str]
+
+
+def _earlier(values: np.ndarray, late: float, dt: float) -> np.ndarray:
+    """Return a channel as it was ``late`` s later; beyond its ends it goes on as it went there."""
+    t, off = dt * np.arange(len(values)), abs(late)
+    first, last = values[0], values[-1]
+    before, after = np.interp((t[0] + off, t[-1] - off), t, values)
+    return np.interp(t + late, np.concatenate(((t[0] - off,), t, (t[-1] + off,))),
+                     np.concatenate(((2.0 * first - before,), values, (2.0 * last - after,))))
+
+
+def _faults() -> Iterator[Fault]:
+    for i, (channel, sign) in enumerate((("p1", 1.0), ("p2", -1.0)), start=1):
+        def area(rig: Rig, i: int = i, sign: float = sign) -> float:
+            return sign * getattr(rig, f"area_{i}")
+
+        yield Fault("pressure_offset", f"b_{i}", "Pa", channel,
+                    {LOAD: lambda rig, mean, of=area: 1.0 / of(rig)},
+                    lambda p, b, dt: p - b, ("{} too high", "{} too low"))
+        yield Fault("pressure_scale", f"k_{i}", "1", channel,
+                    {LOAD: lambda rig, mean, of=area: 1.0 / (of(rig) * mean) if mean else np.nan},
+                    lambda p, k, dt: p / (1.0 + k), ("{} too much", "{} too little"))
+    # A position that is T late takes K T x' from the speed that the drive is commanded.
+    yield Fault("position_delay", "T", "s", "x", {
+        "flow_lag": lambda rig, mean: 1.0 if rig.pump_displacement else np.nan,
+        "drive_gain": lambda rig, mean: -rig.area_1 / (
+            rig.position_gain * (rig.pump_displacement or np.nan))},
+        _earlier, ("{} late", "{} early"))
+
+
+FAULTS = tuple(_faults())
+
+
+@dataclass(frozen=True)
+class Reading:
+    """Recordings as their sensors read, or with an error of one of them taken away.
+
+    Attributes
+    ----------
+    judged, courses : beside the machine.
+    error : (value, deviation) of what was taken away, in the unit of its ``fault``, for the
+        ``symptom`` that it makes.
+    differs : what differs from the healthy recordings: (balance, effect), or (balance, "") of one
+        that is left open.
+    """
+
     judged: Judged
     courses: Sequence[Course]
+    differs: frozenset[tuple[str, str]]
+    fault: Fault | None = None
+    error: tuple[float, float] = (0.0, 0.0)
+    symptom: Moved | None = None
+
+    @property
+    def left(self) -> float:
+        """Logarithm of the error that is left on unseen parts, of all balances."""
+        return float(np.log([max(one.after, one.table.floor / one.table.size)
+                             for one in self.judged.balances]).sum())
+
+    @property
+    def far(self) -> float:
+        """Sum over the balances of the squared error over the machine's usual one."""
+        return sum((one.error / max(one.usual, one.table.floor / one.table.size)) ** 2
+                   for one in self.judged.balances)
+
+    def explains(self, given: "Reading") -> bool:
+        """Tell whether what it takes away is the cause of what differs in given recordings.
+
+        It takes away ``FEWER`` things and brings none.  Another balance than its symptom's bears
+        witness: of that it takes something away, and leaves nothing.
+        """
+        gone = given.differs - self.differs
+        witnesses = {balance for balance, _ in gone} - {self.symptom.candidate.balance}
+        return (self.differs < given.differs and len(gone) >= FEWER and bool(witnesses)
+                and len(self.judged.balances) == len(given.judged.balances)
+                and not witnesses & {balance for balance, _ in self.differs}
+                and (self.judged.belongs or self.judged.explained))
 
     @property
     def words(self) -> str:
-        """What it is, as a sentence's beginning."""
-        amount = with_uncertainty(abs(self.value), self.stddev, "Pa")
-        return (f"the sensor of {self.channel} reads {amount} too "
-                f"{'high' if self.value > 0.0 else 'low'}")
+        """What was taken away, as a sentence's beginning."""
+        value, stddev = self.error
+        amount = (with_uncertainty(100.0 * abs(value), 100.0 * stddev, "%")
+                  if self.fault.unit == "1" else
+                  with_uncertainty(abs(value), stddev, self.fault.unit))
+        how = self.fault.words[0 if value > 0.0 else 1].format(amount)
+        return f"the sensor of {self.fault.channel} reads {how}"
 
 
-def load_of(judged: Judged) -> Moved | None:
-    """Return the constant load that has changed and may be the zero of a sensor."""
-    return next((one for one in judged.changed if one.candidate.effect == LOAD
-                 and ZERO in one.rivals), None)
+def without_sensor_error(machine: Machine, recordings: Sequence[Recording], settings: Settings,
+                         courses: Sequence[Course]) -> tuple[Reading, tuple[Change, ...]]:
+    """Return the recordings judged beside a machine, and a sensor's error if one explains more.
+
+    Of all that differs one error must take away ``FEWER`` things, and bring none.  A change is
+    told with the sensor that would make it only where that sensor, corrected, leaves less.
+    """
+    given = _reading(machine, courses, settings)
+    tried = [one for fault in FAULTS if (one := _corrected(
+        fault, machine, recordings, settings, given)) is not None]
+    fits = [one for one in tried if one.differs < given.differs]
+    explain = [one for one in tried if one.explains(given)]
+    if explain:
+        best, *others = sorted(explain, key=lambda one: (len(one.differs), one.left))
+        as_much = [one for one in others if len(one.differs) == len(best.differs)
+                   and one.left - best.left < machine.policy.alone]
+        return best, (_change(best, as_much, given, machine),)
+    refuted = {one.fault.effect for one in tried} - {one.fault.effect for one in fits}
+    return replace(given, judged=replace(given.judged, balances=tuple(
+        replace(one, changed=tuple(replace(moved, rivals=tuple(
+            rival for rival in moved.rivals if rival not in refuted)) for moved in one.changed))
+        for one in given.judged.balances))), ()
 
 
-def zero_errors(machine: Machine, recordings: Sequence[Recording], settings: Settings,
-                load: Moved) -> list[ZeroError]:
-    """Return the sensors whose zero makes a load, and all else that has changed with it."""
-    found = []
-    for channel, (area, sign, _) in CHAMBERS.items():
-        slope = sign / getattr(settings.rig, area)
-        value = (load.here - load.machine) * slope
-        right = [replace(one, channels=one.channels | {channel: one.channels[channel] - value})
-                 for one in recordings]
+def _reading(machine: Machine, courses: Sequence[Course], settings: Settings) -> Reading:
+    """Return motions judged beside a machine."""
+    judged = judge_with_oil(machine, courses, settings)
+    source = source_of(machine, courses, settings.rig, None)
+    return Reading(judged, courses, frozenset((
+        *((one.candidate.balance, one.candidate.effect)
+          for one in (*judged.changed, *judged.small)),
+        *((one.balance, "") for one in judged.loud if not one.changed or not one.settled),
+        *(() if source is None else ((source.balance, source.what),)))))
+
+
+def _corrected(fault: Fault, machine: Machine, recordings: Sequence[Recording],
+               settings: Settings, given: Reading) -> Reading | None:
+    """Return recordings with a channel corrected for what it would explain; None if nothing."""
+    channel = fault.channel
+    changed = {one.candidate.effect: one for one in given.judged.changed
+               if fault.effect in one.rivals}
+    name = next((name for name in fault.symptoms if name in changed), None)
+    if name is None or not all(one.has(channel) for one in recordings):
+        return None
+    symptom, mean = changed[name], float(np.mean(
+        [np.nanmean(one.channels[channel]) for one in recordings]))
+    slope = fault.symptoms[name](settings.rig, mean)
+
+    def without(value: float) -> Reading:
+        right = [replace(one, channels=one.channels | {channel: fault.corrected(
+            one.channels[channel], value, one.sample_time)}) for one in recordings]
         courses, _ = within_stroke(machine, courses_of(right, settings)[1])
-        judged = judge_with_oil(machine, courses, settings)
-        if judged.belongs:
-            found.append(ZeroError(channel, value, abs(load.apart * slope), judged, courses))
-    return found
+        return replace(_reading(machine, courses, settings), fault=fault, symptom=symptom,
+                       error=(value, float(np.hypot(symptom.apart * slope, value - first))))
+
+    first = (symptom.here - symptom.machine) * slope
+    if not np.isfinite(first):  # a mean of nil, or a pump whose displacement nobody knows
+        return None
+    found = without(first)
+    if not found.differs or not found.differs < given.differs:
+        return found
+    # The squares of all balances are a parabola of the error: its vertex is what they all say.
+    at, squares = np.array([0.0, 1.0, FURTHER]), [given.far, found.far,
+                                                  without(FURTHER * first).far]
+    bend, tilt, _ = np.polyfit(at, squares, 2)
+    best = -0.5 * tilt / bend if bend > 0.0 else 1.0
+    return min(found, without(first * float(np.clip(best, 1.0 / TWICE, TWICE))),
+               key=lambda one: one.far)
 
 
-def without_offset(judged: Judged, load: Moved) -> Judged:
-    """Return a recording whose load is none of a sensor's zero: that would have moved more."""
-    plain = replace(load, rivals=tuple(one for one in load.rivals if one != ZERO))
-    return replace(judged, balances=tuple(replace(one, changed=tuple(
-        plain if moved is load else moved for moved in one.changed)) for one in judged.balances))
-
-
-def change_of(errors: Sequence[ZeroError], load: Moved, runs: str) -> Change:
-    """Return the record of a zero error; of two that explain as much, the first."""
-    one, *others = errors
+def _change(one: Reading, others: Sequence[Reading], given: Reading, machine: Machine) -> Change:
+    """Return the record of a sensor's error, and of others that explain as much."""
+    moved = one.symptom
     more = "".join(f", or {other.words}" for other in others)
-    force = with_uncertainty(abs(load.here - load.machine), load.apart, "N")
+    by = with_uncertainty(abs(moved.here - moved.machine), moved.apart, moved.candidate.unit)
+    gone = [effect_words(what) if what else f"unexplained rest of the {balance}"
+            for balance, what in sorted(given.differs - one.differs)
+            if what != moved.candidate.effect]
     return Change(
-        ZERO, CHAMBERS[one.channel][2], "sensor", Value(0.0, one.stddev, "Pa"),
-        Value(one.value, one.stddev, "Pa"), "Pa",
-        f"{one.words}{more}: that explains a force of {force}, and all else that differs from "
-        f"{runs}")
+        one.fault.effect, one.fault.symbol, "sensor", Value(0.0, one.error[1], one.fault.unit),
+        Value(*one.error, one.fault.unit), one.fault.unit,
+        f"{one.words}{more}: that explains a {effect_words(moved.candidate.effect)} of {by}, "
+        f"and the {listed(gone)} that {'differs' if len(gone) == 1 else 'differ'} from "
+        f"{machine.runs}")

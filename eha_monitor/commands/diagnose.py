@@ -27,8 +27,8 @@ from eha_monitor.output import write_json, write_text
                    "(docs/effects.md).")
 @click.option("--reference", "references", type=common.FILE, multiple=True,
               metavar="HEALTHY [HEALTHY ...]",
-              help="Healthy recordings of the machine, or a folder of them: report what has "
-                   "changed from these. Give BAG before it.")
+              help="Healthy recordings of the machine, a folder of them, or the file that "
+                   "--machine wrote: report what has changed from these. Give BAG before it.")
 @click.option("--without", multiple=True, metavar="EFFECT [EFFECT ...]",
               help="Effects of the catalogue to exclude, such as those that this rig cannot have.")
 @click.option("--vary", multiple=True, type=click.Choice(["load"]),
@@ -70,7 +70,10 @@ def diagnose(bags: tuple[Path, ...], config: Path | None, json_file: Path | None
     from eha_monitor.settings.hypothesis import load_hypothesis
     from eha_monitor.words import effect_words
 
-    references = tuple(bag for one in references for bag in bags_of(one))
+    file = next((one for one in references if one.suffix == ".json" and one.is_file()), None)
+    if file and (len(references) > 1 or machine_file):
+        raise InputError(f"--reference: expected recordings, or {file} alone, a machine's file")
+    references = () if file else tuple(bag for one in references for bag in bags_of(one))
     distinct(bags, held_out, references, "--held-out")
     if references and (held_out or hypothesis_file or without):
         raise InputError("--reference: expected neither --held-out, --hypothesis nor --without "
@@ -80,7 +83,8 @@ def diagnose(bags: tuple[Path, ...], config: Path | None, json_file: Path | None
                          (*bags, *references, *((held_out,) if held_out else ())), config)
     check_out_bag(out_bag, (*bags, *references))
     known_effects(without, "--without")
-    several = len(bags) > 1
+    several = len(bags) > 1 and not file
+    machine_file = file or machine_file
     if machine_file and several:
         common.check_outputs({"--machine": machine_file}, bags, config)
     given = config_of(config)
