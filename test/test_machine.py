@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from machine_tools import machine_of, stranger, stranger_settings
 from rig_tools import MULTISINE, REST, real, simulated
+from rig_tools import settings as rig_settings
 
 from eha_monitor.balances.alone import alone
 from eha_monitor.balances.candidates import Scale, candidates_of, stop, taken_up
@@ -20,7 +21,7 @@ from eha_monitor.balances.machine import load, save
 from eha_monitor.balances.policy import POLICY
 from eha_monitor.balances.table import tables_of
 from eha_monitor.balances.together import Recordings, pooled, without
-from eha_monitor.balances.warmth import damping_at
+from eha_monitor.balances.warmth import healthy_at
 from eha_monitor.commands.diagnose import diagnose as command
 from eha_monitor.errors import InputError
 from eha_monitor.mismatch.compared import compared
@@ -276,10 +277,29 @@ def test_cold_oil_of_another_law_is_no_worn_machine(settings):
     assert cold.verdict == "consistent" and [one.what for one in worn.changes] == ["B"]
     b = 1500.0 * np.exp(13.0 * steeper)
     assert cold.before["B"].value == pytest.approx(b, rel=0.05)
-    assert damping_at(known, np.nan) is None
+    assert healthy_at(known, np.nan) is None
     alike = replace(known, viscosity=(1.0,) * 5)  # where they say nothing of the law, it is 30 %
-    at = damping_at(alike, np.exp(0.5))
+    at = healthy_at(alike, np.exp(0.5))
     assert at.law == pytest.approx(0.15) and at.stddev > 0.15 * at.value
+
+
+def test_a_leakage_that_the_warmth_would_cover_is_compared_at_one_temperature():
+    """A cylinder that leaked three times as much was "nothing has changed" beside 37 to 46 C."""
+    def warm(seed, temperature, worn=1.0):
+        more = worn * np.exp(0.03 * (temperature - 40.0))
+        found = simulated(MULTISINE, 12.0, rig={"leakage": 4e-12 * more}).recording(seed)
+        found.channels["temperature"] = np.full(len(found), temperature)
+        return found
+
+    config = rig_settings(rig={"leakage": 4e-12})
+    known = machine_of([warm(seed, degrees) for seed, degrees in enumerate(
+        (36.5, 39.0, 41.0, 43.5, 46.0))], config)
+    hot, worn = (against(known, [warm(10 + i, degrees, grown)], config, known.sources)
+                 for i, (degrees, grown) in enumerate(((55.0, 1.0), (38.0, 1.5))))
+    assert hot.verdict == "consistent"
+    (change,) = worn.changes
+    assert (change.what, change.balance) == ("cross_port_leakage", "flow")
+    assert "at the temperature of its oil" in change.statement
 
 
 def test_the_balances_compare_first_whatever_the_config_holds():

@@ -447,5 +447,5 @@ def _advice(machine: Machine, courses: Sequence[Course], references: tuple[str, 
         found.append("it moves faster than the references; above their speed nothing can be "
                      "compared")
     if verdict == "unexplained":
-        found.append("diagnose it without --reference: that shows the shape of the unknown effect")
+        found.append("diagnose it by itself: that shows the shape of the unknown effect")
     return tuple(found)

@@ -239,6 +239,12 @@ class Machine:
                 for one in self.balances for j, p in enumerate(one.parameters) if p.name == name]
 
     @property
+    def known_leakage(self) -> float:
+        """Leakage across the piston that the config has, which L is beyond, m³/(s·Pa)."""
+        return 0.5 * (self.numbers or {}).get("leakage", 0.0) + (self.effects or {}).get(
+            "cross_port_leakage", {}).get("L", 0.0)
+
+    @property
     def runs(self) -> str:
         """What a recording of it is compared with, in words."""
         return f"{len(self.sources)} {'parts of the ' if self.pieces else ''}healthy recordings"

@@ -25,7 +25,8 @@ from eha_monitor.settings.monitor import Settings
 from eha_monitor.settings.rig import Rig
 from eha_monitor.words import effect_words, listed
 
-FURTHER, TWICE = 1.15, 2.0  # times the first value: where else it is tried, and at most
+TWICE = 2.0  # times what its symptom says, or half of it: so far an error is looked for
+NEAR, TRIES = 1e-3, 12  # shares of that, and runs, to which it is found
 FEWER = 2  # things that differ must a sensor's error, itself one, take away
 Corrected = Callable[[np.ndarray, float, float], np.ndarray]
 
@@ -42,6 +43,7 @@ class Fault:
         what the error is for 1 of it, of the rig and the channel's mean, SI.
     corrected : of the channel (n,), the error and the sample time, s: the channel without it.
     words : that end "the sensor of p1 reads", with ``{}`` for the amount: too much and too little.
+    least : no error is less; nothing reads what is still to come.
     """
 
     effect: str
@@ -51,6 +53,7 @@ class Fault:
     symptoms: dict[str, Callable[[Rig, float], float]]
     corrected: Corrected
     words: tuple[str, str]
+    least: float = -np.inf
 
 
 def _earlier(values: np.ndarray, late: float, dt: float) -> np.ndarray:
@@ -78,7 +81,7 @@ def _faults() -> Iterator[Fault]:
         "flow_lag": lambda rig, mean: 1.0 if rig.pump_displacement else np.nan,
         "drive_gain": lambda rig, mean: -rig.area_1 / (
             rig.position_gain * (rig.pump_displacement or np.nan))},
-        _earlier, ("{} late", "{} early"))
+        _earlier, ("{} late", "{} early"), least=0.0)
 
 
 FAULTS = tuple(_faults())
@@ -94,12 +97,13 @@ class Reading:
     error : (value, deviation) of what was taken away, in the unit of its ``fault``, for the
         ``symptom`` that it makes.
     differs : what differs from the healthy recordings: (balance, effect), or (balance, "") of one
-        that is left open.
+        that is left open; ``small`` those that are too small to matter.
     """
 
     judged: Judged
     courses: Sequence[Course]
     differs: frozenset[tuple[str, str]]
+    small: frozenset[tuple[str, str]]
     fault: Fault | None = None
     error: tuple[float, float] = (0.0, 0.0)
     symptom: Moved | None = None
@@ -110,23 +114,22 @@ class Reading:
         return float(np.log([max(one.after, one.table.floor / one.table.size)
                              for one in self.judged.balances]).sum())
 
-    @property
-    def far(self) -> float:
-        """Sum over the balances of the squared error over the machine's usual one."""
+    def far(self, but: str = "") -> float:
+        """Return the sum over balances, ``but`` one, of (error over the machine's usual one)²."""
         return sum((one.error / max(one.usual, one.table.floor / one.table.size)) ** 2
-                   for one in self.judged.balances)
+                   for one in self.judged.balances if one.balance != but)
 
     def explains(self, given: "Reading") -> bool:
         """Tell whether what it takes away is the cause of what differs in given recordings.
 
-        It takes away ``FEWER`` things and brings none.  Another balance than its symptom's bears
-        witness: of that it takes something away, and leaves nothing.
+        It takes away ``FEWER`` things and brings none that matters.  Another balance than its
+        symptom's bears witness: of that it takes something away, and leaves nothing.
         """
         gone = given.differs - self.differs
-        witnesses = {balance for balance, _ in gone} - {self.symptom.candidate.balance}
-        return (self.differs < given.differs and len(gone) >= FEWER and bool(witnesses)
-                and len(self.judged.balances) == len(given.judged.balances)
-                and not witnesses & {balance for balance, _ in self.differs}
+        witnesses = {balance for balance, _ in gone} - {
+            self.symptom.candidate.balance, *(balance for balance, _ in self.differs)}
+        return (self.differs - self.small <= given.differs and len(gone) >= FEWER
+                and bool(witnesses) and len(self.judged.balances) == len(given.judged.balances)
                 and (self.judged.belongs or self.judged.explained))
 
     @property
@@ -168,11 +171,11 @@ def _reading(machine: Machine, courses: Sequence[Course], settings: Settings) ->
     """Return motions judged beside a machine."""
     judged = judge_with_oil(machine, courses, settings)
     source = source_of(machine, courses, settings.rig, None)
-    return Reading(judged, courses, frozenset((
-        *((one.candidate.balance, one.candidate.effect)
-          for one in (*judged.changed, *judged.small)),
-        *((one.balance, "") for one in judged.loud if not one.changed or not one.settled),
-        *(() if source is None else ((source.balance, source.what),)))))
+    changed, small = (frozenset((one.candidate.balance, one.candidate.effect) for one in some)
+                      for some in (judged.changed, judged.small))
+    return Reading(judged, courses, changed | small | {
+        (one.balance, "") for one in judged.loud if not one.changed or not one.settled} | (
+        {(source.balance, source.what)} if source else set()), small - changed)
 
 
 def _corrected(fault: Fault, machine: Machine, recordings: Sequence[Recording],
@@ -196,18 +199,19 @@ def _corrected(fault: Fault, machine: Machine, recordings: Sequence[Recording],
                        error=(value, float(np.hypot(symptom.apart * slope, value - first))))
 
     first = (symptom.here - symptom.machine) * slope
-    if not np.isfinite(first):  # a mean of nil, or a pump whose displacement nobody knows
+    if not first >= fault.least:  # nor is it one of nil, or of a pump that nobody knows
         return None
-    found = without(first)
-    if not found.differs or not found.differs < given.differs:
+    found, own = without(first), symptom.candidate.balance
+    if not found.differs or found.far(own) >= given.far(own):
         return found
-    # The squares of all balances are a parabola of the error: its vertex is what they all say.
-    at, squares = np.array([0.0, 1.0, FURTHER]), [given.far, found.far,
-                                                  without(FURTHER * first).far]
-    bend, tilt, _ = np.polyfit(at, squares, 2)
-    best = -0.5 * tilt / bend if bend > 0.0 else 1.0
-    return min(found, without(first * float(np.clip(best, 1.0 / TWICE, TWICE))),
-               key=lambda one: one.far)
+    from scipy.optimize import minimize_scalar
+
+    # What all balances say together: one of them alone takes other things for it as well.
+    tried = {1.0: found}
+    minimize_scalar(lambda times: tried.setdefault(times, without(times * first)).far(),
+                    bounds=(1.0 / TWICE, TWICE), method="bounded",
+                    options={"xatol": NEAR, "maxiter": TRIES})
+    return min(tried.values(), key=lambda one: one.far())
 
 
 def _change(one: Reading, others: Sequence[Reading], given: Reading, machine: Machine) -> Change:

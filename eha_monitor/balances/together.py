@@ -31,6 +31,7 @@ from eha_monitor.balances.table import Table, areas_apart, flow_columns, tables_
 from eha_monitor.settings.rig import Rig
 
 SOFT = 1e-3  # of the other half's products, so that a half without motion leaves nothing open
+ALIKE = 0.9  # correlation beyond which two columns of a family are nearly one
 MOST_TERMS = 10  # a choice that has not ended by then is none
 
 
@@ -256,7 +257,7 @@ class Recordings:
                     continue
                 with_it = self.errors([*names, name])
                 mean, t = self.gain(errors, with_it)
-                if mean >= self.owed(name, policy) and t >= policy.repeats and (
+                if mean >= self.owed(name, names, policy) and t >= policy.repeats and (
                         best is None or mean > best[1]) and self._possible(names, name):
                     best = name, mean, with_it
             if best is None:
@@ -291,9 +292,26 @@ class Recordings:
                     self.candidates[name].effect for name in rivals))))
         return tuple(sorted(found, key=lambda one: -one.gain))
 
-    def owed(self, name: str, policy: Policy) -> float:
-        """Return the share of the error that a term must gain."""
-        return policy.small if self.candidates[name].setting else policy.gain
+    def owed(self, name: str, names: Iterable[str], policy: Policy) -> float:
+        """Return the share of the error that a term must gain beside others.
+
+        Beside one of its family that is nearly the same column, as much as a name: else neither
+        has a number of its own (a spring, and half a cosine over the stroke).
+        """
+        one = self.candidates[name]
+        if any(other != name and self.candidates[other].kind == one.kind
+               and self.candidates[other].effect != one.effect
+               and self._alike(name, other) > ALIKE for other in names):
+            return policy.named
+        return policy.small if one.setting else policy.gain
+
+    def _alike(self, one: str, other: str) -> float:
+        """Return the correlation of two columns over all recordings, each about its mean."""
+        i, j = (self.tables[0].places[name] for name in (one, other))
+        always = [self.tables[0].places[c.name] for c in self.candidates.values()
+                  if c.always and c.effect == "constant_load"]
+        total = sum(self.reduced(always))
+        return abs(float(total[i, j])) / max(float(np.sqrt(total[i, i] * total[j, j])), 1e-300)
 
     def _has_variant(self, name: str, names: list[str]) -> bool:
         one = self.candidates[name]
@@ -336,7 +354,7 @@ class Recordings:
                 rest = founded([other for other in names if other != name], self.candidates)
                 without_it = self.errors(rest)
                 mean, t = self.gain(without_it, errors)
-                if (mean < self.owed(name, policy) or t < policy.repeats) and (
+                if (mean < self.owed(name, names, policy) or t < policy.repeats) and (
                         worst is None or mean < worst[0]):
                     worst = mean, rest, without_it
             if worst is None:

@@ -16,7 +16,7 @@ from eha_monitor.balances.course import Course
 from eha_monitor.balances.judge import Judged, Moved, judge
 from eha_monitor.balances.machine import Machine
 from eha_monitor.balances.scatter import t_of_next
-from eha_monitor.balances.warmth import damping_at, viscosity_of
+from eha_monitor.balances.warmth import POWERS, healthy_at, viscosity_of
 from eha_monitor.settings.monitor import Settings
 
 VISCOUS = ("B", "L")
@@ -31,36 +31,48 @@ def judge_with_oil(machine: Machine, courses: Sequence[Course], settings: Settin
 def beside_viscosity(machine: Machine, judged: Judged, viscosity: float) -> Judged:
     """Return a recording with B or L as changed too, where one has moved beside the other.
 
-    B that has changed by little at the temperature of its oil is what differs but is small.
+    One that has changed by little at the temperature of its oil is what differs but is small.
 
     Parameters
     ----------
     viscosity : of the recording's oil, as :attr:`Machine.viscosity`; NaN where not measured.
     """
-    warm = _at_temperature(machine, judged, viscosity)
-    if warm is not None and abs(warm.here / warm.machine - 1.0) <= machine.policy.near:
-        judged = replace(judged, balances=tuple(
-            replace(one, small=one.small or warm) if one.balance == warm.candidate.balance
-            else one for one in judged.balances))
-        warm = None
-    moved = warm or _beside_the_other(machine, judged)
-    return judged if moved is None else replace(judged, balances=tuple(
-        one.with_change(moved) if one.balance == moved.candidate.balance else one
-        for one in judged.balances))
+    warm = [moved for name in POWERS
+            if (moved := _at_temperature(machine, judged, viscosity, name)) is not None]
+    for moved in warm or [_beside_the_other(machine, judged)]:
+        if moved is not None:
+            judged = replace(judged, balances=tuple(
+                one if one.balance != moved.candidate.balance else one.with_change(moved)
+                if not warm or _much(moved, machine) else replace(one, small=one.small or moved)
+                for one in judged.balances))
+    return judged
 
 
-def _at_temperature(machine: Machine, judged: Judged, viscosity: float) -> Moved | None:
-    """Return B where it has changed at one temperature of the oil; None where nothing says so."""
-    at, (value, total, chance) = damping_at(machine, viscosity), judged.values.get(
-        "B", (0.0, 0.0, 0.0))
-    if at is None or not value > 0.0 or any(
-            moved.candidate.name == "B" for moved in judged.changed):
+def _much(moved: Moved, machine: Machine) -> bool:
+    """Tell whether a number has changed by more than ``near`` of what the machine has of it."""
+    before = moved.machine + (machine.known_leakage if moved.candidate.name == "L" else 0.0)
+    return abs(moved.here - moved.machine) > machine.policy.near * abs(before)
+
+
+def _at_temperature(machine: Machine, judged: Judged, viscosity: float, name: str
+                    ) -> Moved | None:
+    """Return B or L where it has changed at the temperature of its oil; None where it has not.
+
+    Nor is a leakage said beside what moves it by itself: another leak, or a sensor of pressure.
+    """
+    if name not in judged.values or any(moved.candidate.name == name or (name == "L" and (
+            moved.candidate.family == "gap" or set(FORCE_OF_SENSORS) & set(moved.rivals)))
+            for moved in judged.changed):
         return None
-    t, limit = at.t_of(value, chance, machine.policy.false)
+    at, (value, total, chance) = healthy_at(machine, viscosity, name), judged.values[name]
+    if at is None or not value + at.more > 0.0:
+        return None
+    t, limit = at.t_of(value + at.more, chance, machine.policy.false)
     if not abs(t) > limit:
         return None
-    return Moved(judged.of["B"], value, total, at.value, at.stddev, t, limit,
-                 apart=abs((value - at.value) / t), given=" at the temperature of its oil")
+    return Moved(judged.of[name], value, total, at.beyond, at.stddev, t, limit,
+                 rivals=FORCE_OF_SENSORS[:1] if name == "L" else (),
+                 apart=abs((value - at.beyond) / t), given=" at the temperature of its oil")
 
 
 def _beside_the_other(machine: Machine, judged: Judged) -> Moved | None:

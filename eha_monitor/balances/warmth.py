@@ -1,12 +1,13 @@
-"""Viscous damping of a machine at the temperature of the next recording's oil.
+"""Damping and leakage of a machine at the temperature of the next recording's oil.
 
-B goes with the oil's viscosity nu (Merritt 1967).  Where every recording measures the temperature,
+B goes with the oil's viscosity nu, laminar leakage L with its inverse (Merritt 1967).  Where every
+recording measures the temperature,
 
-    ln B_i = a + s ln nu_i + e_i,    s ~ N(1, LAW^2),
+    ln B_i = a + s ln nu_i + e_i,    s ~ N(1, LAW^2),    and ln L_i with s ~ N(-1, LAW^2),
 
-says what a healthy machine has at another temperature: s = 1 by the config's law of viscosity,
-whose coefficient nobody has measured for this oil, and more surely from references that were
-recorded at several temperatures.
+says what a healthy machine has at another temperature: s by the config's law of viscosity, whose
+coefficient nobody has measured for this oil, and more surely from references that were recorded at
+several temperatures.
 """
 
 from collections.abc import Sequence
@@ -18,6 +19,8 @@ from eha_monitor.balances.course import Course
 from eha_monitor.balances.machine import Machine, MachineBalance
 from eha_monitor.balances.scatter import t_of_next
 
+# Numbers that go with the viscosity, and with which power of it.
+POWERS = {"B": 1.0, "L": -1.0}
 LAW = 0.3  # spread of s: coefficients of hydraulic oils between 0.02 and 0.05 per kelvin
 
 
@@ -27,11 +30,12 @@ class AtOil:
 
     Attributes
     ----------
-    value : healthy B, N·s/m.
-    spread : of ln B from one healthy recording to the next, at one temperature.
-    law : standard deviation of ln B because s is not known.
-    noise : usual deviation of ln B of a reference by chance; it is in the spread.
+    value : of the healthy number, with what the config has of it, SI.
+    spread : of its logarithm from one healthy recording to the next, at one temperature.
+    law : standard deviation of the logarithm because s is not known.
+    noise : usual deviation of a reference's logarithm by chance; it is in the spread.
     freedom : samples less parameters behind the spread.
+    more : what the config has of the number, SI.
     """
 
     value: float
@@ -39,14 +43,20 @@ class AtOil:
     law: float
     noise: float
     freedom: float
+    more: float = 0.0
+
+    @property
+    def beyond(self) -> float:
+        """The healthy number beyond what the config has of it, SI."""
+        return self.value - self.more
 
     @property
     def stddev(self) -> float:
-        """Of a healthy recording's B at this temperature, N·s/m."""
+        """Of a healthy recording's number at this temperature, SI."""
         return self.value * float(np.linalg.norm((self.spread, self.law, self.noise)))
 
     def t_of(self, value: float, chance: float, share: float) -> tuple[float, float]:
-        """Return Student's t of a recording's B beside the healthy one, and its limit.
+        """Return Student's t of a recording's number beside the healthy one, and its limit.
 
         Parameters
         ----------
@@ -57,33 +67,34 @@ class AtOil:
                          (chance / value, self.noise), self.law)
 
 
-def damping_at(machine: Machine, viscosity: float) -> AtOil | None:
-    """Return healthy B at a viscosity; None where the recordings do not say it.
+def healthy_at(machine: Machine, viscosity: float, name: str = "B") -> AtOil | None:
+    """Return a healthy number of ``POWERS`` at a viscosity; None where no recording says it.
 
     Parameters
     ----------
     viscosity : of the recording's oil, as :attr:`Machine.viscosity`; NaN where not measured.
     """
-    rows = machine.of_references("B")
+    rows, law = machine.of_references(name), POWERS[name]
+    more = machine.known_leakage if name == "L" else 0.0
     if machine.pieces or not machine.viscosity or not np.isfinite(viscosity) or len(rows) != 1:
         return None
-    each, deviation = rows[0]
+    each, deviation = rows[0][0] + more, rows[0][1]
     if len(each) < 2 or not (each > 0.0).all():
         return None
     u = np.log(machine.viscosity)
     u, mean, y, noise = u - u.mean(), float(u.mean()), np.log(each), float(
         np.median(deviation / each))
     square, cross = float(u @ u), float(u @ (y - y.mean()))
-    best = cross / square if square > 0.0 else 1.0
+    best = cross / square if square > 0.0 else law
     left = y - y.mean() - best * u
     variance = max(float(left @ left) / max(len(y) - 2, 1), noise**2, 1e-12)
     weight = square / variance / (square / variance + LAW**-2)  # of what the references say of s
-    s = 1.0 + weight * (best - 1.0)
+    s = law + weight * (best - law)
     left = y - y.mean() - s * u
     freedom = max(len(y) - 1.0 - weight, 1.0)
     step = float(np.log(viscosity)) - mean
     return AtOil(float(np.exp(y.mean() + s * step)), float(np.sqrt(left @ left / freedom)),
-                 LAW * float(np.sqrt(1.0 - weight)) * abs(step), noise, freedom)
+                 LAW * float(np.sqrt(1.0 - weight)) * abs(step), noise, freedom, more)
 
 
 def viscosity_of(courses: Sequence[Course]) -> float:
@@ -92,8 +103,8 @@ def viscosity_of(courses: Sequence[Course]) -> float:
 
 
 def at_oil(machine: Machine, viscosity: float) -> tuple[MachineBalance, ...]:
-    """Return the machine's balances with the damping of a recording's oil."""
-    at = damping_at(machine, viscosity)
-    return machine.balances if at is None else tuple(replace(one, parameters=tuple(
-        replace(p, value=at.value, between=max(p.between, at.stddev)) if p.name == "B" else p
-        for p in one.parameters)) for one in machine.balances)
+    """Return the machine's balances with the damping and the leakage of a recording's oil."""
+    there = {name: at for name in POWERS if (at := healthy_at(machine, viscosity, name))}
+    return tuple(replace(one, parameters=tuple(
+        replace(p, value=there[p.name].beyond, between=max(p.between, there[p.name].stddev))
+        if p.name in there else p for p in one.parameters)) for one in machine.balances)

@@ -217,7 +217,7 @@ def show_diagnosis(found: Diagnosis, written: list[Path], notes: list[str] = (),
     if found.before or found.after:
         to.print(_parameters(found))
     if settings is not None:
-        show_indicators(to, indicators, settings, "`diagnose` without --reference"
+        show_indicators(to, indicators, settings, "`diagnose` of it alone"
                         if found.references else "`diagnose`")
     if found.signals:
         to.print(_fit(found))
