@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from machine_tools import machine_of, stranger, stranger_settings
-from rig_tools import MULTISINE, REST, real, simulated
+from rig_tools import D_P, K_POS, MULTISINE, REST, real, simulated
 from rig_tools import settings as rig_settings
 
 from eha_monitor.balances.alone import alone
@@ -300,6 +300,17 @@ def test_a_leakage_that_the_warmth_would_cover_is_compared_at_one_temperature():
     (change,) = worn.changes
     assert (change.what, change.balance) == ("cross_port_leakage", "flow")
     assert "at the temperature of its oil" in change.statement
+
+
+def test_a_pump_of_another_size_is_said_to_be_of_another_machine():
+    run = simulated(MULTISINE, 12.0)
+    known = machine_of([run.recording(seed) for seed in range(4)], run.config)
+    other = simulated(MULTISINE, 12.0, rig={
+        "pump_displacement": 2.5 * D_P, "position_gain": K_POS / 2.5}).recording(9)
+    found = against(known, [other], run.config, known.sources)
+    assert any("whether it is a recording of this machine" in line for line in found.health)
+    again = against(known, [run.recording(9)], run.config, known.sources)
+    assert not any("of this machine" in line for line in again.health)
 
 
 def test_the_balances_compare_first_whatever_the_config_holds():

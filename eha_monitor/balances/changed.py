@@ -76,6 +76,7 @@ def against(machine: Machine, recordings: Sequence[Recording], settings: Setting
     apart = _apart(machine, balances_in(courses, rig), settings, references)
     reading, sensor = without_sensor_error(machine, recordings, settings, courses)
     judged, courses = reading.judged, reading.courses
+    apart += _other_pump(machine, judged)
     stiffness = stiffness_of(courses, rig)
     judged = replace(judged, balances=tuple(replace(one, changed=tuple(
         moved for moved in one.changed if not _as_stiff(moved, machine, stiffness)))
@@ -168,6 +169,16 @@ def _apart(machine: Machine, there: Sequence[str], settings: Settings,
                 found.append(f"{name}: {words} of {quantity(value, unit, 3)} where the config has "
                              f"{quantity(configured, unit, 3)}: check whether it is this machine")
     return tuple(found)
+
+
+def _other_pump(machine: Machine, judged: Judged) -> tuple[str, ...]:
+    """Return what says that the recordings may be of another machine: a pump does not wear so."""
+    return tuple(
+        f"{judged.source}: a pump displacement of {quantity(judged.values[p.name][0], p.unit, 3)} "
+        f"where the machine has {quantity(p.value, p.unit, 3)}: check whether it is a recording "
+        "of this machine" for one in machine.balances for p in one.parameters
+        if p.name == "D_p" and p.value > 0.0 and p.name in judged.values
+        and of_another(judged.values[p.name][0], p.value))
 
 
 def _blind(machine: Machine, there: Sequence[str]) -> dict[str, float]:
