@@ -76,7 +76,7 @@ def against(machine: Machine, recordings: Sequence[Recording], settings: Setting
     apart = _apart(machine, balances_in(courses, rig), settings, references)
     reading, sensor = without_sensor_error(machine, recordings, settings, courses)
     judged, courses = reading.judged, reading.courses
-    apart += _other_pump(machine, judged)
+    apart, viscosity = apart + _other_pump(machine, judged), viscosity_of(courses)
     stiffness = stiffness_of(courses, rig)
     judged = replace(judged, balances=tuple(replace(one, changed=tuple(
         moved for moved in one.changed if not _as_stiff(moved, machine, stiffness)))
@@ -123,8 +123,8 @@ def against(machine: Machine, recordings: Sequence[Recording], settings: Setting
                 f"{share(left, 2)} of it unexplained in its own recordings (diagnose these "
                 "together: what is missing there?)" for one, left in blind.items()),
         where, effects,
-        _health(machine, judged, stiffness, viscosity_of(courses), before=True),
-        _health(machine, judged, stiffness, viscosity_of(courses), before=False),
+        _health(machine, judged, stiffness, viscosity, before=True),
+        _health(machine, judged, stiffness, viscosity, before=False),
         "held_out", {one.balance: SignalFit(
             SIDES[one.balance], one.nominal_error * one.size, one.error * one.size, one.floor,
             signal_rms=one.size) for one in models}, curves,

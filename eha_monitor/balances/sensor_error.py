@@ -7,7 +7,7 @@ position makes a smaller gain of the drive.  So each sensor whose error would ma
 tried on the recordings themselves: with its channel corrected, what still differs?
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -65,26 +65,27 @@ def _earlier(values: np.ndarray, late: float, dt: float) -> np.ndarray:
                      np.concatenate(((2.0 * first - before,), values, (2.0 * last - after,))))
 
 
-def _faults() -> Iterator[Fault]:
-    for i, (channel, sign) in enumerate((("p1", 1.0), ("p2", -1.0)), start=1):
-        def area(rig: Rig, i: int = i, sign: float = sign) -> float:
-            return sign * getattr(rig, f"area_{i}")
+def _of_pressure(i: int, sign: float) -> tuple[Fault, Fault]:
+    """Return what may be wrong with the pressure of a chamber, whose force has this sign."""
+    def area(rig: Rig) -> float:
+        return sign * getattr(rig, f"area_{i}")
 
-        yield Fault("pressure_offset", f"b_{i}", "Pa", channel,
-                    {LOAD: lambda rig, mean, of=area: 1.0 / of(rig)},
-                    lambda p, b, dt: p - b, ("{} too high", "{} too low"))
-        yield Fault("pressure_scale", f"k_{i}", "1", channel,
-                    {LOAD: lambda rig, mean, of=area: 1.0 / (of(rig) * mean) if mean else np.nan},
-                    lambda p, k, dt: p / (1.0 + k), ("{} too much", "{} too little"))
-    # A position that is T late takes K T x' from the speed that the drive is commanded.
-    yield Fault("position_delay", "T", "s", "x", {
-        "flow_lag": lambda rig, mean: 1.0 if rig.pump_displacement else np.nan,
-        "drive_gain": lambda rig, mean: -rig.area_1 / (
-            rig.position_gain * (rig.pump_displacement or np.nan))},
-        _earlier, ("{} late", "{} early"), least=0.0)
+    return (
+        Fault("pressure_offset", f"b_{i}", "Pa", f"p{i}",
+              {LOAD: lambda rig, mean: 1.0 / area(rig)},
+              lambda p, b, dt: p - b, ("{} too high", "{} too low")),
+        Fault("pressure_scale", f"k_{i}", "1", f"p{i}",
+              {LOAD: lambda rig, mean: 1.0 / (area(rig) * mean) if mean else np.nan},
+              lambda p, k, dt: p / (1.0 + k), ("{} too much", "{} too little")))
 
 
-FAULTS = tuple(_faults())
+# A position that is T late takes K T x' from the speed that the drive is commanded.
+LATE = Fault("position_delay", "T", "s", "x", {
+    "flow_lag": lambda rig, mean: 1.0 if rig.pump_displacement else np.nan,
+    "drive_gain": lambda rig, mean: -rig.area_1 / (
+        rig.position_gain * (rig.pump_displacement or np.nan))},
+    _earlier, ("{} late", "{} early"), least=0.0)
+FAULTS = (*_of_pressure(1, 1.0), *_of_pressure(2, -1.0), LATE)
 
 
 @dataclass(frozen=True)

@@ -301,17 +301,22 @@ class Recordings:
         one = self.candidates[name]
         if any(other != name and self.candidates[other].kind == one.kind
                and self.candidates[other].effect != one.effect
-               and self._alike(name, other) > ALIKE for other in names):
+               and self._alike[self._places[name], self._places[other]] > ALIKE
+               for other in names):
             return policy.named
         return policy.small if one.setting else policy.gain
 
-    def _alike(self, one: str, other: str) -> float:
-        """Return the correlation of two columns over all recordings, each about its mean."""
-        i, j = (self.tables[0].places[name] for name in (one, other))
-        always = [self.tables[0].places[c.name] for c in self.candidates.values()
-                  if c.always and c.effect == "constant_load"]
-        total = sum(self.reduced(always))
-        return abs(float(total[i, j])) / max(float(np.sqrt(total[i, i] * total[j, j])), 1e-300)
+    @property
+    def _places(self) -> dict[str, int]:
+        return self.tables[0].places
+
+    @cached_property
+    def _alike(self) -> np.ndarray:
+        """Correlations of all columns over all recordings, beside a load, absolute, (k, k)."""
+        total = sum(self.reduced([self._places[c.name] for c in self.candidates.values()
+                                  if c.always and c.effect == "constant_load"]))
+        size = np.sqrt(np.diag(total))
+        return np.abs(total) / np.maximum(np.outer(size, size), 1e-300)
 
     def _has_variant(self, name: str, names: list[str]) -> bool:
         one = self.candidates[name]

@@ -19,7 +19,7 @@ from eha_monitor.balances.scatter import t_of_next
 from eha_monitor.balances.warmth import POWERS, healthy_at, viscosity_of
 from eha_monitor.settings.monitor import Settings
 
-VISCOUS = ("B", "L")
+VISCOUS = tuple(POWERS)
 
 
 def judge_with_oil(machine: Machine, courses: Sequence[Course], settings: Settings) -> Judged:

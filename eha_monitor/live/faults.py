@@ -112,7 +112,8 @@ class Leaps:
 
     def _leaps(self, apart: np.ndarray | float, by: np.ndarray | float) -> np.ndarray:
         """Tell whether values move by more than they can in the time ``apart``, s."""
-        return np.abs(by) > self._rate * np.clip(apart, self._least, REACH_S)
+        # Of single values np.clip takes three times as long.
+        return np.abs(by) > self._rate * np.minimum(np.maximum(apart, self._least), REACH_S)
 
 
 class Stillness:
