@@ -377,31 +377,32 @@ def place_of(models: Sequence[Model], courses: Sequence[Course],
     ----------
     courses : that the models are shown on.
     """
-    shares = dict.fromkeys(WHERE, 0.0)
+    nowhere = dict.fromkeys(WHERE, 0.0)
     if verdict == "consistent":
-        return Location(shares, "", ()), ()
+        return Location(nowhere, "", ()), ()
+    blamed = {effect.balance for effect in effects} | {SIDE_OF[one.key] for one in wrong}
     if verdict == "unexplained":
         weights = {one.balance: one.error**2 for one in models}
-    else:
-        blamed = {effect.balance for effect in effects} | {
-            SIDE_OF[one.key] for one in wrong}
+    else:  # a sensor's error shows in every balance that it spoils
         weights = {one.balance: max(one.nominal_error**2 - one.error**2, 1e-12)
-                   for one in models if one.balance in blamed}
-    if not weights:  # a sensor alone: no balance is to blame
-        return Location(shares, "always", ()), ()
-    total = sum(weights.values()) or 1.0
-    shares |= {name: weight / total for name, weight in weights.items()}
-    worst = max(models, key=lambda one: shares[one.balance])
+                   for one in models if one.balance in blamed or blamed == {"sensor"}}
+    total = sum(weights.values())
+    if not total:
+        return Location(nowhere, "always", ()), ()
+    shares = {name: weight / total for name, weight in weights.items()}
+    worst = max(models, key=lambda one: shares.get(one.balance, 0.0))
     curves, where = [], None
     for one in models:
-        if shares[one.balance] <= 0.0:
+        if shares.get(one.balance, 0.0) <= 0.0:
             continue
         parts = parts_of(one, courses)
         curves += places.curves_of(one.balance, SIDES[one.balance], parts)
         if one is worst:
             regime, weight = places.regime_of(one.balance, parts)
-            where = Location(shares, regime, places.worst_intervals(parts, weight)
-                             if regime != "always" else places.whole_of(parts))
+            where = Location(
+                nowhere | (shares if blamed != {"sensor"} else {"sensor": 1.0}), regime,
+                places.worst_intervals(parts, weight) if regime != "always"
+                else places.whole_of(parts))
     return where, tuple(curves)
 
 

@@ -74,7 +74,7 @@ def against(machine: Machine, recordings: Sequence[Recording], settings: Setting
             f"{share(outside, 2)} of its motion is where none of the healthy recordings has "
             "been: record it on the same part of the stroke"))
     apart = _apart(machine, balances_in(courses, rig), settings, references)
-    reading, sensor = without_sensor_error(machine, recordings, settings, courses)
+    read, reading, sensor = without_sensor_error(machine, recordings, settings, courses)
     judged, courses = reading.judged, reading.courses
     apart, viscosity = apart + _other_pump(machine, judged), viscosity_of(courses)
     stiffness = stiffness_of(courses, rig)
@@ -107,6 +107,9 @@ def against(machine: Machine, recordings: Sequence[Recording], settings: Setting
     if verdict == "consistent" and len(blind) == len(judged.balances):
         verdict = "insufficient_data"
     models = [_model(one) for one in judged.balances]
+    if sensor:
+        models = [replace(one, before=_model(raw).before)
+                  for one, raw in zip(models, read.balances, strict=True)]
     effects = tuple(_effect(one, change, models) for one, change in zip(
         moved, changes, strict=False) if change.symbol)
     where, curves = place_of(models, courses, changes, (), verdict)
@@ -387,7 +390,8 @@ def _or_a_sensor(change: Change) -> str:
     """Return which sensor's error would read like a change: a pump does not grow by wear."""
     sensors = [effect_words(name) for name in change.indistinguishable_from
                if name in CATALOGUE and CATALOGUE[name].balance == "sensor"]
-    if not sensors or any(name in change.statement for name in sensors):
+    if change.balance == "sensor" or not sensors or any(
+            name in change.statement for name in sensors):
         return ""
     return f" ({listed(sensors, 'or')}, a sensor's error, would read the same)"
 

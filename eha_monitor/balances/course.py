@@ -50,6 +50,7 @@ STANDING = 0.02  # of the top speed: below it dry friction takes any value
 DEAD = 0.02  # s: a value that does not change for longer while others do ...
 JUMPED = 5.0  # ... times the usual largest step away from what comes before or after
 SHORTEST = 0.5  # s of usable recording
+SELDOM = 0.5  # of the rows: a channel with values in fewer is why nothing is usable
 COMMANDED, MEASURED = 0.005, 0.05  # of its size: a smaller demand has no sign; noise-free, noisy
 TRAVEL = 20.0  # times the position's noise: less is no motion
 DESIGNS = 64  # low-passes that are kept
@@ -367,8 +368,13 @@ def course_of(recording: Recording, settings: Settings, band: float = BAND) -> C
     v = slope(x, dt)
     a, step, good = slope(v, dt)[::every], every * dt, ~bad[::every]
     if good.sum() * step < SHORTEST:
-        raise InputError(f"{recording.source}: expected at least {SHORTEST:g} s of motion away "
-                         f"from stops with all channels, found {good.sum() * step:.1f} s")
+        seldom = {name: np.mean(np.isfinite(true[name])) for name in needed}
+        least = min(seldom, key=seldom.get)
+        raise InputError(
+            f"{recording.source}: expected at least {SHORTEST:g} s of motion away from stops with "
+            f"all channels, found {good.sum() * step:.1f} s" + (
+                f"; {least} has a value in {100.0 * seldom[least]:.2g} % of the rows"
+                if seldom[least] < SELDOM else ""))
     v, x = v[::every], np.ascontiguousarray(x[::every])  # one layout for compiled loops
     p1, p2, omega = (fine(whole[name]) if name in whole else None
                      for name in ("p1", "p2", "omega"))

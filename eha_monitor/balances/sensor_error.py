@@ -111,8 +111,11 @@ class Reading:
 
     @property
     def left(self) -> float:
-        """Logarithm of the error that is left on unseen parts, of all balances."""
-        return float(np.log([max(one.after, one.table.floor / one.table.size)
+        """Logarithm of the error that is left on unseen parts, of all balances.
+
+        Less than the healthy recordings leave is no evidence.
+        """
+        return float(np.log([max(one.after, one.usual, one.table.floor / one.table.size)
                              for one in self.judged.balances]).sum())
 
     def far(self, but: str = "") -> float:
@@ -135,18 +138,18 @@ class Reading:
 
     @property
     def words(self) -> str:
-        """What was taken away, as a sentence's beginning."""
+        """What was taken away, to follow "the sensor reads"."""
         value, stddev = self.error
         amount = (with_uncertainty(100.0 * abs(value), 100.0 * stddev, "%")
                   if self.fault.unit == "1" else
                   with_uncertainty(abs(value), stddev, self.fault.unit))
-        how = self.fault.words[0 if value > 0.0 else 1].format(amount)
-        return f"the sensor of {self.fault.channel} reads {how}"
+        return self.fault.words[0 if value > 0.0 else 1].format(amount)
 
 
 def without_sensor_error(machine: Machine, recordings: Sequence[Recording], settings: Settings,
-                         courses: Sequence[Course]) -> tuple[Reading, tuple[Change, ...]]:
-    """Return the recordings judged beside a machine, and a sensor's error if one explains more.
+                         courses: Sequence[Course]
+                         ) -> tuple[Judged, Reading, tuple[Change, ...]]:
+    """Return recordings judged as they are and without the sensor error that explains more.
 
     Of all that differs one error must take away ``FEWER`` things, and bring none.  A change is
     told with the sensor that would make it only where that sensor, corrected, leaves less.
@@ -157,12 +160,13 @@ def without_sensor_error(machine: Machine, recordings: Sequence[Recording], sett
     fits = [one for one in tried if one.differs < given.differs]
     explain = [one for one in tried if one.explains(given)]
     if explain:
-        best, *others = sorted(explain, key=lambda one: (len(one.differs), one.left))
-        as_much = [one for one in others if len(one.differs) == len(best.differs)
-                   and one.left - best.left < machine.policy.alone]
-        return best, (_change(best, as_much, given, machine),)
+        few = min(len(one.differs) for one in explain)
+        least = min(one.left for one in explain if len(one.differs) == few)
+        best, *as_much = [one for one in explain if len(one.differs) == few
+                          and one.left - least < machine.policy.alone]
+        return given.judged, best, (_change(best, as_much, given, machine),)
     refuted = {one.fault.effect for one in tried} - {one.fault.effect for one in fits}
-    return replace(given, judged=replace(given.judged, balances=tuple(
+    return given.judged, replace(given, judged=replace(given.judged, balances=tuple(
         replace(one, changed=tuple(replace(moved, rivals=tuple(
             rival for rival in moved.rivals if rival not in refuted)) for moved in one.changed))
         for one in given.judged.balances))), ()
@@ -217,8 +221,11 @@ def _corrected(fault: Fault, machine: Machine, recordings: Sequence[Recording],
 
 def _change(one: Reading, others: Sequence[Reading], given: Reading, machine: Machine) -> Change:
     """Return the record of a sensor's error, and of others that explain as much."""
-    moved = one.symptom
-    more = "".join(f", or {other.words}" for other in others)
+    moved, reads = one.symptom, {}
+    for each in (one, *others):
+        reads.setdefault(each.fault.channel, []).append(each.words)
+    sensors = ", or ".join(f"the sensor of {channel} reads {' or '.join(words)}"
+                           for channel, words in reads.items())
     by = with_uncertainty(abs(moved.here - moved.machine), moved.apart, moved.candidate.unit)
     gone = [effect_words(what) if what else f"unexplained rest of the {balance}"
             for balance, what in sorted(given.differs - one.differs)
@@ -226,6 +233,6 @@ def _change(one: Reading, others: Sequence[Reading], given: Reading, machine: Ma
     return Change(
         one.fault.effect, one.fault.symbol, "sensor", Value(0.0, one.error[1], one.fault.unit),
         Value(*one.error, one.fault.unit), one.fault.unit,
-        f"{one.words}{more}: that explains a {effect_words(moved.candidate.effect)} of {by}, "
+        f"{sensors}: that explains a {effect_words(moved.candidate.effect)} of {by}, "
         f"and the {listed(gone)} that {'differs' if len(gone) == 1 else 'differ'} from "
-        f"{machine.runs}")
+        f"{machine.runs}", tuple(other.fault.effect for other in others))

@@ -428,11 +428,12 @@ def comparison_findings(answer: Answer | None, since: str, healthy: int, why: st
     answer : of a comparison, None before the first.
     since : from when on the compared rows are, ISO 8601.
     healthy : number of healthy recordings.
-    why : what moved then.
+    why : what moved then; without an answer, why there is none.
     kept : whether its recording and its report are.
     """
     if answer is None:
-        return [Finding(MACHINE, "STALE", f"not yet compared with {healthy} healthy recordings")]
+        return [Finding(MACHINE, "STALE", f"not yet compared with {healthy} healthy recordings"
+                        + (f": {why}" if why else ""))]
     tree, values = answer.tree, {"since_utc": since, "why": why, "verdict": answer.verdict}
     if kept:
         values |= {"bag": str(answer.bags[0]), "report": str(answer.folder / "report.html")}

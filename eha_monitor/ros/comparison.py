@@ -144,8 +144,10 @@ class Comparison:
             return False
         self._due, self._again = None, False
         if answer.problem:
+            if self.findings[0].level == "STALE":  # what was found before stands
+                self.findings = comparison_findings(None, "", self._healthy, answer.problem)
             self._tell(answer.problem, "WARN")
-            return False
+            return True
         if answer.verdict == "insufficient_data":  # a pause: again with the rows that come
             self._last_s = -EVERY_S
             forget(answer)

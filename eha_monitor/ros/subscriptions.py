@@ -183,12 +183,13 @@ class Drain:
     def take(self) -> bool:
         """Take what waits, or much of it; return whether more may wait."""
         batches, kept = [], []
-        wall_ns, now = time.time_ns(), time.monotonic()
-        clock_ns = self._node.get_clock().now().nanoseconds
         for each in self._inputs:
             messages, received, sent_ns = each.take()
             if not messages:
                 continue
+            # After the taking: none is younger, so no two get one time of receipt.
+            wall_ns, now = time.time_ns(), time.monotonic()
+            clock_ns = self._node.get_clock().now().nanoseconds
             # Where the middleware does not say when: now.
             waited = np.zeros(len(received)) if not received[0] else np.minimum(np.maximum(
                 (wall_ns - np.array(received)) * 1e-9, 0.0), LONGEST_S)

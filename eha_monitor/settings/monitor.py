@@ -292,7 +292,8 @@ class Settings(Section):
     channels: Annotated[dict[Literal[CHANNELS], Channel], BeforeValidator(fill_channels)] = Field(
         DEFAULT_CHANNELS, description="source of each channel; omitted channels and keys keep "
                                       "their defaults, but for name and field of another "
-                                      "JointState topic", json_schema_extra={
+                                      "JointState topic; v and force have none where x is "
+                                      "another entry than the default's", json_schema_extra={
             "entries": {name: channel_about(name) for name in CHANNELS}})
     table: Table = Field(Table(), description="column of a CSV or MAT file for each channel, for "
                                               "import")
