@@ -26,7 +26,7 @@ from eha_monitor.settings.rig import Rig
 from eha_monitor.words import effect_words, listed
 
 TWICE = 2.0  # times what its symptom says, or half of it: so far an error is looked for
-NEAR, TRIES = 1e-3, 12  # shares of that, and runs, to which it is found
+NEAR, STEPS = 1e-2, 4  # share of that to which it is found, in at most so many steps
 FEWER = 2  # things that differ must a sensor's error, itself one, take away
 Corrected = Callable[[np.ndarray, float, float], np.ndarray]
 
@@ -209,14 +209,21 @@ def _corrected(fault: Fault, machine: Machine, recordings: Sequence[Recording],
     found, own = without(first), symptom.candidate.balance
     if not found.differs or found.far(own) >= given.far(own):
         return found
-    from scipy.optimize import minimize_scalar
-
-    # What all balances say together: one of them alone takes other things for it as well.
-    tried = {1.0: found}
-    minimize_scalar(lambda times: tried.setdefault(times, without(times * first)).far(),
-                    bounds=(1.0 / TWICE, TWICE), method="bounded",
-                    options={"xatol": NEAR, "maxiter": TRIES})
-    return min(tried.values(), key=lambda one: one.far())
+    # What all balances say together, as one of them alone takes other things for it as well:
+    # what is left in squares is nearly a parabola in the error, 0 of which is the recordings'.
+    tried = {0.0: given.far(), 1.0: found.far()}
+    best, following = found, 1.0 / TWICE
+    for _ in range(STEPS):
+        one = without(following * first)
+        tried[following] = one.far()
+        if tried[following] < best.far():
+            best = one
+        near = sorted(tried, key=tried.get)[:3]
+        bend, slant, _ = np.polyfit(near, [tried[each] for each in near], 2)
+        following = float(np.clip(-0.5 * slant / bend, 1.0 / TWICE, TWICE)) if bend > 0.0 else 1.0
+        if min(abs(following - each) for each in tried) < NEAR:
+            break
+    return best
 
 
 def _change(one: Reading, others: Sequence[Reading], given: Reading, machine: Machine) -> Change:
