@@ -44,3 +44,11 @@ def test_each_channel_stands_on_its_topic_once(channels):
         assert delay_ns == round(wanted.delay * 1e9)
     names = [entry.source.channels for topic in topics for entry in topic.entries]
     assert sum("x" in each for each in names) == 1  # the position stamps the rows
+
+
+def test_of_another_entry_than_the_defaults_nothing_else_is_assumed():
+    config = settings_from_tree({"channels": {"x": {"name": "arm"}, "force": {"scale": 2.0}}},
+                                "rig.yaml")
+    assert "v" not in config.channels and config.channels["force"].name == "piston"
+    usual = settings_from_tree({"channels": {"x": {"scale": 2.0}}}, "rig.yaml")
+    assert {"v", "force"} <= usual.channels.keys()

@@ -9,13 +9,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from bag_tools import START, number, write_mcap
 from command_tools import refused
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from eha_monitor.cli import main
 from eha_monitor.draft.answers import answers_of, full_scale
-from eha_monitor.draft.sources import layout_of
+from eha_monitor.draft.guess import guessed
+from eha_monitor.draft.sources import layout_of, source_of
 from eha_monitor.draft.words import read
 from eha_monitor.errors import InputError
 from eha_monitor.estimation.pipeline import estimate
@@ -66,6 +68,8 @@ HEADERS = [  # header, unit of the map, quantity, demand, chamber
     ("Vitesse pompe (tr/min)", "rpm", "turning", False, 0),
     ("motor speed", "", "turning", False, 0),
     ("Drehzahl Soll [U/min]", "rpm", "turning", True, 0),
+    ("Motordrehzahl Ist [1/min]", "rpm", "turning", False, 0),
+    ("motor rad_per_s", "rad/s", "turning", False, 0),
     ("Pump speed %", "%", "turning", False, 0),
     ("Geschwindigkeit mm/s", "mm/s", "velocity", False, 0),
     ("Kraft [kN]", "kN", "force", False, 0),
@@ -244,6 +248,18 @@ def test_the_namespace_of_a_bag_is_written(tmp_path, capsys):
     write_recording(tmp_path / "bag", Recording(1e-3, SEEN), config)
     assert init(capsys, tmp_path / "bag", "--yes", *sets(*SHEET))[0] == 0
     assert load_settings("my_rig.yaml").monitor.namespace == "/press_3"
+
+
+def test_topics_of_a_bag_of_unequal_length(tmp_path):
+    """The demand begins later, and no header says which of the two positions it is."""
+    late = 300
+    rows = [(topic, "std_msgs/msg/Float64", START + k * 1_000_000, number(float(values[k])))
+            for k in range(2000) for topic, values in (("/pos_b", SEEN["x"]),
+                                                       ("/pos_a", SEEN["x_d"]))
+            if topic != "/pos_a" or k >= late]
+    found = guessed(source_of(write_mcap(tmp_path / "a.mcap", rows)))
+    assert {name: one.candidate.place["topic"] for name, one in found.channels.items()
+            if name in ("x", "x_d")} == {"x": "/pos_b", "x_d": "/pos_a"}
 
 
 @pytest.mark.parametrize("unit, size", [("bar", 1e-5), ("kPa", 1e-3)])

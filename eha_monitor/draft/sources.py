@@ -221,7 +221,7 @@ def _bag(path: Path) -> Source:
             stores[topic] = (store, described.msgtype)
         except (*UNREADABLE, ValueError):
             continue
-    for topic, _, _, raw in iter_raw(path):
+    for topic, _, time_ns, raw in iter_raw(path):
         if topic not in stores or taken.get(topic, 0) >= MOST_MESSAGES:
             continue
         store, msgtype = stores[topic]
@@ -231,10 +231,12 @@ def _bag(path: Path) -> Source:
             continue
         taken[topic] = taken.get(topic, 0) + 1
         for name, where, value in _leaves(message, ""):
-            numbers.setdefault((topic, name, where), []).append(value)
+            numbers.setdefault((topic, name, where), []).append((time_ns, value))
     found, machine = [], namespace_of({topic for topic, _, _ in numbers})
+    grid = [time for time, _ in max(numbers.values(), key=len, default=())]
     for (topic, name, where), values in numbers.items():
-        column = np.array(values, dtype=float)
+        times, column = np.array(values, dtype=float).T
+        column = np.interp(grid, times, column)  # columns are compared row by row
         if np.isfinite(column).any():
             place = {"topic": topic} | ({"name": name} if name else {}) | {"field": where}
             shown = " ".join(part for part in (topic, name, where) if part)

@@ -28,9 +28,9 @@ _SHORT = {
     "position": ("x", "s", "pos", "y", "q", "qm", "xact", "xist", "xmeas"),
 }
 DEMAND_LONG = ("soll", "setpoint", "command", "demand", "desired", "target", "reference",
-               "consign", "referenc", "vorgabe", "richiest", "ordre")
+               "consign", "referenc", "vorgabe", "richiest")
 DEMAND_SHORT = ("set", "sp", "ref", "d", "des", "dem", "cmd", "tgt", "xd", "xref", "xsoll", "qg",
-                "wd", "nd", "r")
+                "wd", "nd", "r", "ordre")  # Motordrehzahl has one inside
 _TURNS = ("pump", "pumpe", "motor", "pompe", "bomba", "moteur", "pompa", "motore", "shaft",
           "welle")
 NOT_MEASURED = ("current", "strom", "voltage", "spannung", "power", "leistung", "status", "error",
@@ -135,6 +135,8 @@ def parted(name: str) -> tuple[str, str, str]:
             if kind:
                 return name[:match.start()].strip(" _-"), unit, kind
     words = re.split(r"[\s_.\-]+", name.strip())
+    if len(words) > 3 and words[-2] == "per":  # rad_per_s
+        del words[-2]
     if len(words) > 2 and words[-1] in ("s", "min"):  # n_rad_s, v_mm_s: no "/" is in a name
         unit, kind = kind_of("/".join(words[-2:]))
         if kind in ("velocity", "turning"):
