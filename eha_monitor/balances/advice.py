@@ -15,12 +15,13 @@ from eha_monitor.balances.machine import Machine
 from eha_monitor.balances.model import Model, Term
 from eha_monitor.balances.policy import Policy
 from eha_monitor.balances.table import pooled_table
-from eha_monitor.quantity import number
+from eha_monitor.quantity import number, quantity, share
 from eha_monitor.settings.rig import Rig
 from eha_monitor.words import effect_words, listed
 
 WORTH = 2.0  # times narrower: a recording that is worth the trouble
 FASTER = 2.0  # times the speed
+WATCHED = ("B", "F_c", "k", "dM", "D_p", "L", "C_h")  # what wears, or a person would ask for
 FAR = 100.0  # times narrower: what is not determined at all
 AGAIN = ("record the same machine again, with another load, another speed and on another day, and "
          "diagnose all together: what one recording supports is not always there on another day")
@@ -51,7 +52,24 @@ def advice_of(models: Sequence[Model], rig: Rig, policy: Policy, machine: Machin
     if not varied and any(t.candidate.family == "dry" for t in named.values()):
         said.append("vary the load between recordings: without it, friction that grows with "
                     "pressure cannot be separated from dry friction")
+    if machine is not None and (shows := least_change(machine)):
+        said.append(f"{shows}; more healthy recordings narrow it")
     return (*((AGAIN,) if machine is None else ()), *said)
+
+
+def least_change(machine: Machine) -> str:
+    """Return from which size on a change of the machine's own numbers shows, as a sentence."""
+    found = []
+    for one in machine.balances:
+        for p in one.parameters:
+            by = [scatter.shows[p.name] for scatter in (one.scatter, one.beside)
+                  if p.name in scatter.shows]
+            if p.name in WATCHED and by and machine.policy.sure(p.value, p.stddev):
+                least = min(by)
+                found.append(f"{effect_words(p.effect)} " + (
+                    share(least / abs(p.value), 2) if p.name == "C_h" else
+                    quantity(least, p.unit, 2)))
+    return f"beside {machine.runs} a change shows from: {', '.join(found)}" if found else ""
 
 
 def narrowed(model: Model) -> dict[str, list[tuple[Term, float]]]:

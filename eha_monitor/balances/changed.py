@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from eha_monitor.balances.advice import least_change
 from eha_monitor.balances.answer import overlay_of, place_of, still
 from eha_monitor.balances.candidates import SIDES, balances_in
 from eha_monitor.balances.course import Course, courses_of
@@ -463,4 +464,6 @@ def _advice(machine: Machine, courses: Sequence[Course], references: tuple[str, 
                      "compared")
     if verdict == "unexplained":
         found.append("diagnose it by itself: that shows the shape of the unknown effect")
+    if verdict == "consistent" and (shows := least_change(machine)):
+        found.append(shows)
     return tuple(found)

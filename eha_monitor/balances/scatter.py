@@ -139,6 +139,12 @@ class Scatter:
         return Scatter(tuple(names), *(tuple(row[i] for i in places) for row in (
             self.mean, self.spread, self.power, self.noise, self.limit)), self.runs)
 
+    @property
+    def shows(self) -> dict[str, float]:
+        """By how much each term has to move to be beyond its limit, SI."""
+        spread = np.array(self.spread) * np.sqrt(1.0 + 1.0 / self.runs)
+        return dict(zip(self.names, np.array(self.limit) * spread, strict=True))
+
     def t_of(self, found: Amplitudes) -> np.ndarray:
         """Return Student's t of a recording's amplitudes, (k,); NaN where it says nothing."""
         places = [found.names.index(name) for name in self.names]
