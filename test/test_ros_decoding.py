@@ -144,3 +144,11 @@ def test_a_topic_is_taken_once_however_it_is_spelt():
     (one,) = (t for t in found if t.full_name == "/rig1/joint_states")
     assert {c for entry in one.entries for c, _ in entry.channels} >= {"x", "v", "omega"}
     assert len({t.full_name for t in found}) == len(found)
+
+
+def test_a_type_without_the_field_is_named():
+    topic = topic_of({"p1": {"topic": "p", "field": "fluid_pressure"}}, "p")
+    (batch,), (problem,) = read(topic, "std_msgs/msg/Float32", [
+        serialize_message(Float32(data=0.1))])
+    assert "a std_msgs/msg/Float32 has no fluid_pressure, it has data" in problem
+    assert batch.lacking == (False,)  # nothing that was measured is NaN

@@ -56,6 +56,24 @@ def test_rows_estimates_and_health(graph):
     assert values["limit_warn"] == "1000" and "600.0 ± 2.0 N·s/m" in late[0].status[0].message
 
 
+def test_a_motor_without_stamps_whose_messages_come_in_bursts(graph):
+    _, estimator, sender = start(graph, {"channels": {"omega": {
+        "topic": "motor", "field": "data"}}})
+    motor = graph.node("driver", "/eha").create_publisher(Float64, "motor", 100)
+    graph.until(motor.get_subscription_count)
+    begin = time.time_ns()
+    for first in range(0, 600, 40):
+        for k in range(first, first + 40):
+            sender.send(k, 1, begin)
+            motor.publish(Float64(data=100.0 + k))
+        # As a driver does that was held up: all at once when the last is due.
+        graph.until(lambda last=first + 80: time.time_ns() > begin + last * MS)
+    graph.until(lambda: len(estimator.rows) > 590)
+    rows = [row for _, row in estimator.rows[300:] if "omega" in row]
+    assert len(rows) > 280 and not estimator.resets
+    assert all(abs(row["omega"] - 100.0 - 1e3 * row["x"]) <= 2.0 for row in rows)
+
+
 def test_an_alarm_is_published_when_it_is_raised(graph):
     _, estimator, sender = start(graph, {"thresholds": {"viscous_damping": {
         "high_warn": 1000.0, "high_error": 1500.0, "hold_time": 0.2}}})

@@ -163,7 +163,7 @@ class Course:
     def still(self) -> str:
         """What does not move in it, in words; empty where the piston does, and its force."""
         steady = int(self.moving.sum())
-        if not steady and np.ptp(self.x[self.good]) <= TRAVEL * self.sensors["x"]:
+        if not self.good.any() or not steady and np.ptp(self.x[self.good]) <= TRAVEL * self.sensors["x"]:
             return NO_MOTION
         fast = int(np.sum(self.good & (np.abs(self.v) >= STANDING * self.speed)))
         if steady < HUNTS * fast:

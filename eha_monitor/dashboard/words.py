@@ -18,8 +18,8 @@ from eha_monitor.words import probability
 # A level has a sign and a word, so that it is readable without its colour.
 SIGNS = {"OK": "✓", NOT_JUDGED: "?", "WARN": "▲", "ERROR": "✖", "STALE": "◌"}
 # Of all that the status `data` holds, what shows whether messages arrive, and its words.
-_DATA = {"rows": "{} rows so far", "rate_joint_states_Hz": "{} messages a second on joint_states",
-         "lost_messages": "{} messages lost", "missing_samples": "{} samples missing",
+_DATA = {"rows": "{} rows so far", "lost_messages": "{} messages lost",
+         "missing_samples": "{} samples missing",
          "latency_p50_ms": "half of the rows done within {} ms",
          "cpu_share_percent": "{} % of a processor"}
 # A thousandth of the units in which positions are shown.
@@ -51,7 +51,7 @@ def shown(value: float, stddev: float, scale: Scale) -> Shown:
     >>> shown(6.0012e8, 2.3e6, Scale(1e-6, "MPa"))
     Shown(value='600.1', stddev='± 2.3', unit='MPa')
     """
-    if not math.isfinite(value):
+    if not math.isfinite(value) or stddev > abs(value):  # 12000 ± 23000 is no number
         return Shown("–", "", scale.unit)
     if not math.isfinite(stddev):
         return Shown(number(value * scale.factor), "± not known", scale.unit)
@@ -293,6 +293,12 @@ def data_text(view: state.View) -> str:
     finding = view.findings.get("data")
     if finding is None:
         return "data: nothing received from the monitor yet"
-    numbers = ", ".join(words.format(_written(finding.values[key], 3))
-                        for key, words in _DATA.items() if finding.values.get(key, "") != "")
+    found = [words.format(_written(finding.values[key], 3)) for key, words in _DATA.items()
+             if finding.values.get(key, "") != ""]
+    rates = {key[len("rate_"):-len("_Hz")]: value for key, value in finding.values.items()
+             if key.startswith("rate_")}
+    if rates:
+        busiest = max(rates, key=lambda topic: float(rates[topic]))
+        found.insert(1, f"{_written(rates[busiest], 3)} messages a second on {busiest}")
+    numbers = ", ".join(found)
     return f"data: {finding.message}" + (f"; {numbers}" if numbers else "")

@@ -462,7 +462,8 @@ class FaultWatch:
         usual, rate = past.best + growth * elapsed, max(1.0 - growth, 0.01)
         past.best = min(usual, behind)
         ahead, excess = (usual - behind) / rate, (behind - past.best) / rate  # in our own time
-        if min(ahead, steps.max(initial=0.0)) > AHEAD_S:  # what waited catches up step by step
+        ahead = min(ahead, float(steps.max(initial=0.0)))  # what waited catches up step by step
+        if ahead > AHEAD_S:
             self.note(f"ahead {source.name}", now, f"{source.name}: stamps jump ahead by "
                       f"{ahead:.2f} s of the time in which they came (a clock that was set)")
         late = excess > LATE_S

@@ -8,6 +8,7 @@ import numpy as np
 from eha_monitor.errors import InputError, one_line
 from eha_monitor.recordings.between import interpolate, released
 from eha_monitor.recordings.cdr import Series
+from eha_monitor.recordings.dating import EVENER, beside, evenness
 from eha_monitor.recordings.grid import JITTER, Grid, fit_grid, repair, tell_gaps
 from eha_monitor.recordings.recording import CHANNELS, Recording, within_limits
 from eha_monitor.settings.monitor import Settings
@@ -93,7 +94,7 @@ def within_range(found: Series, name: str, topic: str, source: str, said: list[s
 
 def _axis(found: Series, label: str, leader: Series, led, origin: int, grid: Grid, window, said):
     """Return (kept samples, their times, their grid) of a topic other than the reference."""
-    stamps = found.stamp_ns
+    stamps = _dated(found, label, leader, led, said)
     chosen = np.arange(len(stamps))
     if window is not None:
         margin = 0.5e9 * grid.step
@@ -114,6 +115,19 @@ def _axis(found: Series, label: str, leader: Series, led, origin: int, grid: Gri
     if own.mode != "exact":
         tell_grid(own, label, own.step, said)
     return chosen, t, own
+
+
+def _dated(found: Series, label: str, leader: Series, led, said: list[str]) -> np.ndarray:
+    """Return the stamps of a topic; without any, see :mod:`eha_monitor.recordings.dating`."""
+    if found.stamped or not leader.stamped:
+        return found.stamp_ns
+    order = led[np.argsort(leader.log_ns[led], kind="stable")]
+    by_others = beside(found.log_ns, leader.log_ns[order], leader.stamp_ns[order])
+    if not evenness(by_others) > EVENER * evenness(found.log_ns):
+        return found.stamp_ns
+    said.append(f"{label}: no stamps, and received in bursts; dated by the stamps of what was "
+                "received with it")
+    return by_others
 
 
 def placing(values: np.ndarray, axis: tuple, grid: Grid) -> Callable[[int, int], np.ndarray]:

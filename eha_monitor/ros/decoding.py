@@ -10,7 +10,7 @@ message then lacks an entry because another message brings it, which is no fault
 """
 
 import re
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from functools import cache
 
 import numpy as np
@@ -18,8 +18,18 @@ from rosbags.interfaces import Nodetype
 
 from eha_monitor.errors import InputError
 from eha_monitor.live.rows import Batch
-from eha_monitor.recordings.cdr import SIZES, STAMP, Layout, Want, has_names, has_stamp, locate
+from eha_monitor.recordings.cdr import (
+    SIZES,
+    STAMP,
+    Layout,
+    Want,
+    has_names,
+    has_stamp,
+    locate,
+    steps_of,
+)
 from eha_monitor.ros.topics import Entry, Topic, message_class
+from eha_monitor.words import listed
 
 LAYOUTS = 8  # of messages on one topic that are kept; more are those of a publisher that changes
 # A type of a field as rclpy has it: element, then [n] of an array; or sequence<element, most>.
@@ -63,12 +73,21 @@ class Stream:
     ----------
     problem : why the last message gave nothing, as a sentence, or None.
     absent : what came in place of an entry that has messages of its own, as a sentence, or None.
+    unfit : why messages of this type give nothing, as a sentence, or None.
     """
 
     def __init__(self, entry: Entry):
         self.entry = entry
         self.problem: str | None = None
         self.absent: str | None = None
+        self.unfit: str | None = None
+
+    def not_of(self, type_name: str, fields: Collection[str]) -> None:
+        """Note where a type with these fields has none that is wanted."""
+        wanted = [channel.field for _, channel in self.entry.channels]
+        self.unfit = None if any(steps_of(one)[0][0] in fields for one in wanted) else (
+            f"{self.entry.source.name}: a {type_name} has no "
+            f"{listed(wanted, 'or')}, it has {listed(sorted(fields))}")
 
     def wants(self, named: bool) -> list[Want]:
         """Return where its numbers stand; without a name the first of a list counts."""
@@ -98,7 +117,7 @@ class Stream:
         self.problem = None
         if found[end] and not number[end]:
             fields = ", ".join(channel.field for _, channel in self.entry.channels)
-            self.problem = f"{self.entry.source.name} holds no number in {fields}"
+            self.problem = self.unfit or f"{self.entry.source.name} holds no number in {fields}"
         elif not found[end] and not apart:
             self.problem = self.lacks(next(layout.names for layout, rows, _ in groups
                                            if rows[-1] == end))
@@ -116,6 +135,7 @@ class TopicReader:
     Attributes
     ----------
     kind : class of the messages.
+    stamps : (n,) ns, of the messages read last.
     zero_stamps : messages so far whose stamp was zero.
 
     Raises
@@ -133,7 +153,16 @@ class TopicReader:
         self._wants = [stream.wants(self._named) for stream in streams]
         self._layouts: list[Layout] = []
         self.zero_stamps = 0
+        self.stamps = np.empty(0, dtype=np.int64)
         self._by_receipt(not self._stamped)
+        has = {name for name, _ in self._types[type_name][1]}
+        for stream in streams:
+            stream.not_of(type_name, has)
+
+    @property
+    def stamped(self) -> bool:
+        """Whether its messages say when they were sent."""
+        return self._stamped and self.zero_stamps < 2
 
     def _by_receipt(self, unstamped: bool) -> None:
         for stream in self._streams:
@@ -148,7 +177,7 @@ class TopicReader:
         came, now_ns : (n,) when each was received: s, monotonic, and ns on the node's clock.
         """
         groups = self._by_layout(messages)
-        stamps = np.array(now_ns, dtype=np.int64)
+        self.stamps = stamps = np.array(now_ns, dtype=np.int64)
         if self._stamped:
             for layout, rows, table in groups:
                 seconds, rest = (layout.numbers(table, want) for want in STAMP)
@@ -167,7 +196,7 @@ class TopicReader:
                 stream.problem = stream.absent = None
             rows = kept & found if apart else kept
             lacking = None if number[rows].all() else tuple(
-                None if good else bool(there)
+                None if good else bool(there) and stream.unfit is None
                 for good, there in zip(number[rows], found[rows], strict=True))
             batches.append(Batch(stream.entry.source, stamps[rows] - stream.entry.delay_ns,
                                  values[rows], came[rows], lacking))

@@ -224,7 +224,7 @@ class SelfDiagnosis:
                 so_far = "" if self._running is None else (
                     f" for {self._running.seconds:.0f} s, and may take "
                     f"{self._settings.diagnosis.processor_time:g} s of processor time")
-                return f"{self._state()}{so_far}: expected none; call again when it has ended"
+                return f"{self._state()}{so_far}; call again when it has ended"
             self._wait(SERVICE)
         else:
             self._begin(SERVICE)
@@ -355,7 +355,7 @@ class SelfDiagnosis:
 
     def _exchanging(self) -> str | None:
         """Return that the model is being exchanged, if so; a diagnosis may be under way."""
-        return None if self._coming is None else f"{self._state()}: expected none"
+        return None if self._coming is None else f"{self._state()}; call again when it has ended"
 
     def _try(self, answer: Answer | None, by: str) -> None:
         """Begin to exchange the model: for that of an answer, or back for that of the config."""

@@ -32,7 +32,7 @@ from eha_monitor.ros.findings import (
 )
 from eha_monitor.ros.keeper import Keeper
 from eha_monitor.ros.messages import Outputs
-from eha_monitor.ros.subscriptions import Drain, Load, TopicInput
+from eha_monitor.ros.subscriptions import DEMANDED, OPTIONAL, Drain, Load, TopicInput
 from eha_monitor.ros.topics import topics_of
 from eha_monitor.settings import Settings
 
@@ -351,7 +351,9 @@ class Monitor:
                 self._estimator.withdraw(channel, since_s)
                 self.diagnosis.withdraw(channel, since_s)
         limit = self.settings.monitor.stale_after
-        for problem in (p for each in self.inputs for p in each.problems(now, limit)):
+        heard = {channel for each in self.inputs if each.messages for channel in each.channels}
+        optional = OPTIONAL | (DEMANDED if "omega" in heard else set())
+        for problem in (p for each in self.inputs for p in each.problems(now, limit, optional)):
             self.watch.note(problem, now, problem)
         without = CONSEQUENCES if overload else ()
         self.data.problems = [*self._clashes, *self.watch.sentences(now, without)]

@@ -16,6 +16,7 @@ from rclpy.type_support import check_is_valid_msg_type
 from eha_monitor.errors import InputError
 from eha_monitor.health.overload import LoadWatch, Overload
 from eha_monitor.live.rows import Batch, RowAligner
+from eha_monitor.recordings.dating import Dating
 from eha_monitor.ros.decoding import Stream, TopicReader
 from eha_monitor.ros.keeper import Keeper
 from eha_monitor.ros.topics import INPUT_QOS, Topic, clashes
@@ -28,6 +29,7 @@ EARLY = 0.25  # of a period: a timer's jitter must not put what is due off to th
 
 # Neither stage needs these; that a rig does not have them is no fault.
 OPTIONAL = frozenset({"temperature", "v", "omega", "force"})
+DEMANDED = frozenset({"x_d", "omega_d"})  # the same, where the pump's speed comes
 
 
 class TopicInput:
@@ -114,6 +116,11 @@ class TopicInput:
         self.messages += len(messages)
         return messages, received, sent_ns
 
+    @property
+    def leads(self) -> bool:
+        """Whether it brings the position, which stamps the rows."""
+        return "x" in self.channels
+
     def read(self, messages: Sequence[bytes], came: np.ndarray, now_ns: np.ndarray
              ) -> list[Batch]:
         """Return the samples of each stream in messages of :meth:`take`.
@@ -130,7 +137,13 @@ class TopicInput:
             self._subscription.destroy_when_not_in_use()
             self._subscription = None
 
-    def problems(self, now: float, silent_after: float) -> list[str]:
+    @property
+    def channels(self) -> set[str]:
+        """Channels that it brings."""
+        return {channel for entry in self.topic.entries for channel in entry.source.channels}
+
+    def problems(self, now: float, silent_after: float,
+                 optional: frozenset[str] = OPTIONAL) -> list[str]:
         """Return what is wrong with the topic at ``now`` (s, monotonic), in sentences."""
         found = [self._type_problem] if self._type_problem else []
         for stream, entry in zip(self._streams, self.topic.entries, strict=True):
@@ -139,7 +152,7 @@ class TopicInput:
             if stream.problem is not None or (silent and stream.absent is not None):
                 found.append(stream.problem or stream.absent)
             elif silent and not self.messages:
-                if not OPTIONAL.issuperset(entry.source.channels):
+                if not optional.issuperset(entry.source.channels):
                     found.append(f"{entry.source.name}: nothing received, so no {channels}")
             elif silent and not entry.source.held:
                 found.append(f"{entry.source.name}: nothing new for {silent_after:g} s, "
@@ -175,8 +188,10 @@ class Drain:
 
     def __init__(self, node: Node, inputs: list[TopicInput], aligner: RowAligner,
                  keeper: Keeper):
-        self._node, self._inputs, self._aligner, self._keeper = node, inputs, aligner, keeper
+        self._node, self._aligner, self._keeper = node, aligner, keeper
+        self._inputs = sorted(inputs, key=lambda one: not one.leads)
         self._streams: dict[tuple[str, str], int] = {}
+        self._dating = Dating()  # by the position, which is taken first
         self._transport = np.inf  # the least from sending to reception, on two clocks, s
         self.oldest = 0.0
 
@@ -193,8 +208,11 @@ class Drain:
             # Where the middleware does not say when: now.
             waited = np.zeros(len(received)) if not received[0] else np.minimum(np.maximum(
                 (wall_ns - np.array(received)) * 1e-9, 0.0), LONGEST_S)
-            batches += each.read(messages, now - waited,
-                                 clock_ns - np.rint(waited * 1e9).astype(np.int64))
+            came_ns = clock_ns - np.rint(waited * 1e9).astype(np.int64)
+            batches += each.read(messages, now - waited, came_ns if each.reader.stamped
+                                 else self._dating.dated(each.topic.name, came_ns))
+            if each.leads and each.reader.stamped:
+                self._dating.learn(came_ns, each.reader.stamps)
             transport = (received[0] - sent_ns) * 1e-9
             self._transport = min(self._transport, transport)
             self.oldest = max(self.oldest, float(waited[0]) + transport - self._transport)

@@ -266,17 +266,21 @@ def fill_channels(given):
     """Fill in what a ``channels`` section leaves out, channel by channel and key by key.
 
     A topic of its own has messages of its own: of them only the field of a pressure or a
-    temperature is known, which such a message has once. Where the position is another entry
-    than the default's, the default's entry has no other channel either.
+    temperature is known, which such a message has once.  Where the position is another entry
+    than the default's, the default's entry has no other channel either; what is null, or has an
+    empty topic, is not there.
     """
     if not isinstance(given, dict):
         return given
-    filled = {name: channel.model_dump() for name, channel in DEFAULT_CHANNELS.items()}
-    place, usual = given.get("x"), filled["x"]
-    if isinstance(place, dict) and any(place.get(key, usual[key]) != usual[key]
-                                       for key in ("topic", "name")):
-        filled = {name: channel for name, channel in filled.items()
-                  if name in given or name not in ("v", "force")}
+    absent = {name for name, channel in given.items()
+              if channel is None or channel in ({"topic": ""}, {"topic": None})}
+    place = given.get("x")
+    if isinstance(place, dict) and place.get("name", DEFAULT_CHANNELS["x"].name) != (
+            DEFAULT_CHANNELS["x"].name):
+        absent |= {"v", "force"} - given.keys()
+    given = {name: channel for name, channel in given.items() if name not in absent}
+    filled = {name: channel.model_dump() for name, channel in DEFAULT_CHANNELS.items()
+              if name not in absent}
     for name, channel in given.items():
         if isinstance(channel, dict) and name in filled and (
                 "topic" not in channel or not filled[name]["name"]):

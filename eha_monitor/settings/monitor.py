@@ -293,7 +293,8 @@ class Settings(Section):
         DEFAULT_CHANNELS, description="source of each channel; omitted channels and keys keep "
                                       "their defaults, but for name and field of another "
                                       "JointState topic; v and force have none where x is "
-                                      "another entry than the default's", json_schema_extra={
+                                      "another entry than the default's; null: there is none",
+        json_schema_extra={
             "entries": {name: channel_about(name) for name in CHANNELS}})
     table: Table = Field(Table(), description="column of a CSV or MAT file for each channel, for "
                                               "import")
