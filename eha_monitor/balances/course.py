@@ -163,7 +163,9 @@ class Course:
     def still(self) -> str:
         """What does not move in it, in words; empty where the piston does, and its force."""
         steady = int(self.moving.sum())
-        if not self.good.any() or not steady and np.ptp(self.x[self.good]) <= TRAVEL * self.sensors["x"]:
+        rested = not steady and (not self.good.any() or np.ptp(self.x[self.good])
+                                 <= TRAVEL * self.sensors["x"])
+        if rested:
             return NO_MOTION
         fast = int(np.sum(self.good & (np.abs(self.v) >= STANDING * self.speed)))
         if steady < HUNTS * fast:
