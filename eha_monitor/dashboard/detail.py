@@ -11,7 +11,7 @@ from eha_monitor.dashboard import charts, words
 from eha_monitor.dashboard.events import MISMATCH
 from eha_monitor.dashboard.state import STAGES, Actuator, Span, State, View, alarms, thinned
 from eha_monitor.health.alarms import ALARM_NAMES, NO_LIMIT, WATCHED, Watched
-from eha_monitor.health.judge import DIAGNOSIS
+from eha_monitor.health.judge import DIAGNOSIS, MACHINE
 from eha_monitor.quantity import NOTE, SYMBOLS, readable
 
 
@@ -234,6 +234,10 @@ class Detail:
     def _build_diagnosis(self) -> None:
         with ui.element("section").classes("card wide") as self._diagnosis:
             heading("h2", "Diagnosis")
+            self._machine_row = ui.element("div").classes("alarm")
+            with self._machine_row:
+                self._machine_level = Level("machine-level")
+                self._machine = text("", "name", "machine")
             with ui.element("div").classes("alarm"):
                 self._verdict = Level("diagnosis-level")
                 self._diagnosed = text("", "name", "diagnosis")
@@ -247,6 +251,11 @@ class Detail:
             verdict = str(head.values.get("verdict", ""))
             self._verdict.show(head.word, f"{words.SIGNS[head.word]} {verdict or 'none yet'}")
             self._diagnosed.set_text(head.message)
+            machine = view.diagnosis.get(MACHINE)
+            self._machine_row.set_visibility(machine is not None)
+            if machine is not None:
+                self._machine_level.show(machine.word, f"{words.SIGNS[machine.word]} machine")
+                self._machine.set_text(words.local_times(machine))
             self._diagnosis_lines.set_text("\n".join(words.diagnosis_lines(view)))
 
     def refresh(self, view: View) -> None:

@@ -10,7 +10,7 @@ from eha_monitor.dashboard import state
 from eha_monitor.dashboard.events import ACKNOWLEDGED
 from eha_monitor.estimation.results import units_of
 from eha_monitor.health.alarms import NO_LIMIT, NOT_JUDGED, SEVERITY
-from eha_monitor.health.judge import DIAGNOSIS, MODEL_IN_FORCE, Finding
+from eha_monitor.health.judge import DIAGNOSIS, MACHINE, MODEL_IN_FORCE, Finding
 from eha_monitor.quantity import SYMBOLS, Scale, number, readable, with_uncertainty
 from eha_monitor.settings import Settings
 from eha_monitor.words import probability
@@ -171,25 +171,32 @@ def duration_text(seconds: float) -> str:
 def diagnosis_lines(view: state.View) -> list[str]:
     """Return what the monitor's own diagnosis says, after its verdict: the model in force first.
 
-    Each effect with its probability; then B and beta_e before and after; what goes on; the report.
+    Each effect with its probability; then B and beta_e before and after; what goes on; of which
+    recording it is, and its report.
     """
     found = dict(view.diagnosis)
     head, model = found.pop(DIAGNOSIS, None), found.pop(MODEL_IN_FORCE, None)
+    machine = found.pop(MACHINE, None)
     if head is None:
         return []
+    if machine is not None:  # what its line says already
+        found = {name: one for name, one in found.items()
+                 if one.message.partition(", since ")[0] not in machine.message}
     # Names are those of the catalogue there, as programs read them too.
-    lines = [_local_times(model).replace("_", " ")] if model is not None else []
+    lines = [local_times(model).replace("_", " ")] if model is not None else []
     for one in found.values():
         chance = one.values.get("probability")
-        lines.append(_local_times(one) + (f" ({probability(float(chance))})" if chance else ""))
+        lines.append(local_times(one) + (f" ({probability(float(chance))})" if chance else ""))
     if head.values.get("state") not in ("idle", None):
         lines.append(str(head.values["state"]))
+    if head.values.get("bag"):
+        lines.append(f"diagnosed: {head.values['bag']}")
     if head.values.get("report"):
         lines.append(f"report: {head.values['report']}")
     return [f"• {line[:1].upper()}{line[1:]}" for line in lines]
 
 
-def _local_times(finding: Finding) -> str:
+def local_times(finding: Finding) -> str:
     """Return a message with its times as all others on the page: of this machine's zone."""
     text = finding.message
     for key in ("time_utc", "since_utc"):

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from threading import Lock
 
 import numpy as np
 
@@ -51,6 +52,21 @@ LOOSE = 0.01  # of the pressure noise squared: what an unknown course of the dem
 SMOOTH, JAGGED = 2e-5, 5e-3  # of a logarithm: over the first, ridges of two numbers stay ridges
 
 
+class Work:
+    """What filters have done on an experiment and all that is made of it, to end a search by.
+
+    It counts integration steps and not seconds: the same on every machine.
+    """
+
+    def __init__(self):
+        self._lock, self.steps = Lock(), 0
+
+    def add(self, steps: int) -> None:
+        """Count steps of a filter; from any thread."""
+        with self._lock:
+            self.steps += steps
+
+
 @dataclass(frozen=True)
 class Experiment:
     """Recordings of one rig as the mismatch filter takes them.
@@ -77,6 +93,7 @@ class Experiment:
     without : effects of the catalogue that are not considered.
     policy : the numbers that decide what is named.
     log_step : of a parameter's logarithm, over which a slope is taken.
+    work : what filters have done.
     """
 
     settings: Settings
@@ -101,6 +118,7 @@ class Experiment:
     without: tuple[str, ...] = ()
     policy: SearchPolicy = POLICY
     log_step: float = SMOOTH
+    work: Work = field(default_factory=Work, compare=False, repr=False)
 
     @property
     def n(self) -> int:

@@ -76,6 +76,9 @@ CLOSE = 300.0  # log units: within them a set is a rival that is fitted to the e
 LADDER = (1.0, 4.0, 16.0, 64.0, 256.0)  # times an effect's start
 ROUNDS = 8
 GAINED = 0.1  # of what a model lacks, that another round of a search must remove
+# Integration steps of a search beside which an answer of least squares stands; what the sealed
+# trial names takes 0.2e8 to 1.7e8 (one to four times 10 s of a plain two-core machine).
+ENOUGH = 4e8
 SKETCH, SKETCH_WINDOW = 8_000, 2_000  # samples that a search begins on, in windows
 
 
@@ -175,6 +178,11 @@ class Search:
         asked, self.elsewhere = self.elsewhere, None
         if asked(self.found):
             raise Unfollowed
+
+    @property
+    def tires(self) -> bool:
+        """Tell whether it may end without an answer, and has had its time."""
+        return self.may_end and self.experiment.work.steps > ENOUGH
 
     @property
     def found(self) -> Fit:
@@ -436,8 +444,10 @@ def next_place(search: Search, turn: int) -> tuple[Names, Fit] | None:
     Raises
     ------
     Unfollowed
-        If it may end so, and there is no other place.
+        If it may end so, and there is no other place or no time left.
     """
+    if search.tires:
+        raise Unfollowed
     if search.gained_nothing():
         other = None if search.far else far_off(search)
         if other is None:
