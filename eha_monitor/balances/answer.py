@@ -1,8 +1,9 @@
 """What the balances of recordings answer: names, numbers, place, and the proof on unseen parts."""
 
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 
 import numpy as np
 
@@ -369,20 +370,23 @@ def known_of(models: Sequence[Model], rig: Rig, policy: Policy, stiffness: Stiff
 
 
 def place_of(models: Sequence[Model], courses: Sequence[Course],
-             effects: Sequence[NamedEffect | Change], wrong: Sequence[RigFinding], verdict: str
-             ) -> tuple[Location, tuple]:
+             effects: Sequence[NamedEffect | Change], wrong: Sequence[RigFinding], verdict: str,
+             usual: Mapping[str, float] = MappingProxyType({})) -> tuple[Location, tuple]:
     """Return where the disagreement lies, and its shape.
 
     Parameters
     ----------
     courses : that the models are shown on.
+    usual : balance -> error of the machine's own recordings, as a share of the signal: only more
+        than that has come.
     """
     nowhere = dict.fromkeys(WHERE, 0.0)
     if verdict == "consistent":
         return Location(nowhere, "", ()), ()
     blamed = {effect.balance for effect in effects} | {SIDE_OF[one.key] for one in wrong}
     if verdict == "unexplained":
-        weights = {one.balance: one.error**2 for one in models}
+        weights = {one.balance: max(one.error**2 - usual.get(one.balance, 0.0)**2, 0.0)
+                   for one in models}
     else:  # a sensor's error shows in every balance that it spoils
         weights = {one.balance: max(one.nominal_error**2 - one.error**2, 1e-12)
                    for one in models if one.balance in blamed or blamed == {"sensor"}}

@@ -413,12 +413,6 @@ def _pump_difference(course: Course, rig: Rig) -> np.ndarray:
     return course.pumped_side * pumped_pressure(course, rig)
 
 
-def as_of_chamber_1(course: Course) -> np.ndarray | float:
-    """Return what a flow out of the filled chamber is worth at chamber 1's area, (m,)."""
-    return 1.0 if course.ratio == 1.0 else np.where(course.pumped_side > 0.0, 1.0,
-                                                    1.0 / course.ratio)
-
-
 def oil_pressed(course: Course, rig: Rig) -> np.ndarray | None:
     """Return V(x) p' of either chamber, as of chamber 1, (2, m) m³·Pa/s; None without volumes.
 
@@ -462,13 +456,14 @@ def flow_candidates(scale: Scale, rig: Rig) -> tuple[Candidate, ...]:
         return Candidate(name, effect, "flow", unit, words, sign, column, **more)
 
     def crossing(of):
-        return lambda c, r: -of(c.p1 - c.p2) * as_of_chamber_1(c)
+        return lambda c, r: -of(c.p1 - c.p2) * c.as_of_chamber_1
 
     return (
-        one("D_p", "pump_displacement", "m³/rad", "pump displacement", 1, lambda c, r: c.omega,
-            always=True, between=0.02, power=1.0, twins=("position_scale",)),
+        one("D_p", "pump_displacement", "m³/rad", "pump displacement", 1,
+            lambda c, r: c.of_pump(c.omega), always=True, between=0.02, power=1.0,
+            twins=("position_scale",)),
         one("dD_p", "pump_loss_by_direction", "m³/rad", "further displacement where it retracts",
-            0, lambda c, r: np.minimum(c.omega, 0.0), odd=False, power=1.0),
+            0, lambda c, r: c.of_pump(np.minimum(c.omega, 0.0)), odd=False, power=1.0),
         one("C_h", "compliance", "m³/Pa", "compliance of chamber 1 at x = 0", 1,
             lambda c, r: -_pressed(c, r), family="compliance", power=1.0),
         one("alpha", "entrained_air", "1", "share of air, at atmospheric pressure", 1, _air,
@@ -485,7 +480,7 @@ def flow_candidates(scale: Scale, rig: Rig) -> tuple[Candidate, ...]:
             crossing(lambda dp: dp / (dp**2 + LAMINAR**2) ** 0.25), family="gap", symbol="c",
             shape=(("dp_0", LAMINAR),)),
         one("L_1", "external_leakage", "m³/(s·Pa)", "leakage to ambient", 1,
-            lambda c, r: -c.pumped_side * pumped_pressure(c, r) * as_of_chamber_1(c),
+            lambda c, r: -c.pumped_side * pumped_pressure(c, r) * c.as_of_chamber_1,
             family="gap", symbol="L_1", variant=True),
         one("L_1a", "external_leakage", "m³/(s·Pa)", "leakage of chamber 1 to ambient", 1,
             lambda c, r: c.of_filled(-_above_ambient(c.p1, c, r), np.zeros(len(c))),
@@ -495,16 +490,17 @@ def flow_candidates(scale: Scale, rig: Rig) -> tuple[Candidate, ...]:
                                      * r.area_1 / r.area_2),
             family="gap", symbol="L_2", shape=(("L_1", 0.0),), variant=True, odd=False),
         one("k_l", "pump_volumetric_loss", "1/Pa", "flow of the pump lost per pressure", 1,
-            lambda c, r: None if not pump else -pump * np.abs(c.omega) * _pump_difference(c, r),
+            lambda c, r: None if not pump else (
+                -pump * c.of_pump(np.abs(c.omega)) * _pump_difference(c, r)),
             family="gap", symbol="k", shape=(("motoring", 1.0),), power=1.0),
         one("Q_0", "leakage_offset", "m³/s", "leakage whatever the pressure", 1,
             crossing(lambda dp: np.tanh(dp / LAMINAR)), family="gap", symbol="Q_0",
             shape=(("dp_e", LAMINAR),)),
         one("omega_0", "pump_dead_zone", "rad/s", "speed lost to a dead zone of the pump", 1,
-            lambda c, r: None if not pump else -pump * np.tanh(c.omega / DEAD_SPEED),
+            lambda c, r: None if not pump else -pump * c.of_pump(np.tanh(c.omega / DEAD_SPEED)),
             symbol="omega_0"),
         one("T_q", "flow_lag", "s" if pump else "m³", "flow that lags the speed", 1,
-            lambda c, r: -(pump or 1.0) * slope(c.omega, c.dt), power=2.0,
+            lambda c, r: -(pump or 1.0) * c.of_pump(slope(c.omega, c.dt)), power=2.0,
             twins=("position_delay", "backlash")),
     )
 

@@ -113,7 +113,8 @@ def against(machine: Machine, recordings: Sequence[Recording], settings: Setting
                   for one, raw in zip(models, read.balances, strict=True)]
     effects = tuple(_effect(one, change, models) for one, change in zip(
         moved, changes, strict=False) if change.symbol)
-    where, curves = place_of(models, courses, changes, (), verdict)
+    where, curves = place_of(models, courses, changes, (), verdict,
+                             {one.balance: one.usual for one in judged.balances})
     if changes:
         where = Location(shares_of(changes, where.balance), where.regime, where.intervals_s)
     return Diagnosis(

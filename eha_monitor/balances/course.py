@@ -58,6 +58,7 @@ CHANNELS = ("x", "x_d", "omega", "omega_d", "p1", "p2", "force")
 # Whose oil a pump presses: of the chamber that it is asked to fill, or that has the higher
 # pressure, always of chamber 1, of both.
 IN_TURN, HIGHER, CHAMBER_1, BOTH = "in_turn", "higher_pressure", "chamber_1", "both"
+ONE_PUMP = "one_pump"  # fills the chamber of the higher pressure, whose area its flow moves
 CLOSED = 0.75  # of what the higher pressure rises, the lower one falls
 ROUNDING = 1e-9  # of its size: what changes less keeps one value
 GAUGE = 0.5  # of the ambient pressure: a reading below is no absolute pressure
@@ -92,8 +93,8 @@ class Course:
     ratio : area of chamber 2 over that of chamber 1; None of a rig without areas.
     good : (m,) bool, measured on all channels and away from stops.
     moving : (m,) bool, fast enough for dry friction to have a sign.
-    oil : whose oil the pump's flow presses, ``IN_TURN``, ``HIGHER``, ``CHAMBER_1`` or ``BOTH``,
-        the same in all recordings of a machine
+    oil : whose oil the pump's flow presses, ``IN_TURN``, ``HIGHER``, ``CHAMBER_1``, ``BOTH`` or
+        ``ONE_PUMP``, the same in all recordings of a machine
         (:func:`~eha_monitor.balances.together.of_one_machine`); "" where the motion itself is to
         say so.
     apart : share by which the pump moves chamber 2 farther than the config's areas say.
@@ -214,9 +215,23 @@ class Course:
         """
         if self.oil == CHAMBER_1:
             return np.ones(len(self))
-        if self.demand is None or self.ratio == 1.0 or self.oil == HIGHER:
+        if self.demand is None or self.ratio == 1.0 or self.oil in (HIGHER, ONE_PUMP):
             return np.where(self.p1 > self.p2, 1.0, -1.0)
         return self.commanded
+
+    @cached_property
+    def as_of_chamber_1(self) -> np.ndarray | float:
+        """What a flow of the filled chamber is worth at chamber 1's area, (m,)."""
+        return 1.0 if self.ratio == 1.0 else np.where(self.pumped_side > 0.0, 1.0,
+                                                      1.0 / self.ratio)
+
+    def of_pump(self, values: np.ndarray) -> np.ndarray:
+        """Return a speed of the pump, or what goes with it, as of chamber 1, (m,).
+
+        Of two pumps, or a pump and a valve, whose flows match the areas it is the speed itself; a
+        single one moves A2 x' = D_p omega where it fills chamber 2.
+        """
+        return values * self.as_of_chamber_1 if self.oil == ONE_PUMP else values
 
     def taken(self, rig: Rig) -> np.ndarray:
         """Return the flow that the piston takes, as of chamber 1, (m,) m³/s."""

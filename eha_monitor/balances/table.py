@@ -6,7 +6,7 @@ from functools import cached_property
 
 import numpy as np
 
-from eha_monitor.balances.candidates import Candidate, as_of_chamber_1, falls_of, pressure_rate
+from eha_monitor.balances.candidates import Candidate, falls_of, pressure_rate
 from eha_monitor.balances.course import Course, slope
 from eha_monitor.balances.least_squares import independent, signed_solution, weights_of
 from eha_monitor.balances.policy import Policy
@@ -236,9 +236,9 @@ def flow_columns(course: Course, rig: Rig) -> tuple | None:
             rig.area_1 and rig.area_2):
         return None
     return course.taken(rig), (
-        ("D_p", "m³/rad", "pump displacement", 1, course.omega),
+        ("D_p", "m³/rad", "pump displacement", 1, course.of_pump(course.omega)),
         ("C_L", "m³/(s·Pa)", "leakage", 1,
-         (course.p2 - course.p1) * as_of_chamber_1(course)),
+         (course.p2 - course.p1) * course.as_of_chamber_1),
         ("C_h", "m³/Pa", "compliance of a chamber", 1, -pressure_rate(course)))
 
 
@@ -251,8 +251,9 @@ def areas_apart(course: Course, rig: Rig) -> tuple[np.ndarray, ...]:
     """
     if course.mean_of_both:
         return ()
-    flow, pump = rig.area_1 * course.v[course.good], course.omega[course.good]
-    moved = float(flow @ pump) / float(pump @ pump) * course.omega
+    speed, good = course.of_pump(course.omega), course.good
+    flow, pump = rig.area_1 * course.v[good], speed[good]
+    moved = float(flow @ pump) / float(pump @ pump) * speed
     return (np.where(course.pumped_side < 0.0, rig.tolerance.log_spread("area_2") * moved, 0.0),)
 
 

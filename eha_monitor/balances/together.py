@@ -18,7 +18,15 @@ import numpy as np
 
 from eha_monitor import ties
 from eha_monitor.balances.candidates import Scale, flow_candidates, founded
-from eha_monitor.balances.course import CHAMBER_1, HIGHER, IN_TURN, ROUNDING, Course, oil_of
+from eha_monitor.balances.course import (
+    CHAMBER_1,
+    HIGHER,
+    IN_TURN,
+    ONE_PUMP,
+    ROUNDING,
+    Course,
+    oil_of,
+)
 from eha_monitor.balances.least_squares import (
     independent,
     inverse_of,
@@ -44,7 +52,9 @@ def of_one_machine(courses: Sequence[Course], rig: Rig, policy: Policy = POLICY)
     Behind valves it fills either chamber of a single-rod cylinder in turn; beside check valves it
     acts on that of the higher pressure, beside an accumulator on chamber 1, whichever way it
     turns.  It is one of these where the flow balances leave less with it on unseen parts, by what
-    a name owes.  Of equal areas see :func:`oil_of`.
+    a name owes.  Where that of the higher pressure is always the same one, they cannot say whether
+    a second pump matches the areas: the config's displacement does.  Of equal areas see
+    :func:`oil_of`.
     """
     courses = list(courses)
     if not all(course.has_flow for course in courses):
@@ -53,21 +63,27 @@ def of_one_machine(courses: Sequence[Course], rig: Rig, policy: Policy = POLICY)
         oil = oil_of(courses)
         return _apart([replace(course, oil=oil) for course in courses], rig, policy)
     ways = [[replace(course, oil=oil) for course in courses]
-            for oil in (IN_TURN, HIGHER, CHAMBER_1)]
+            for oil in (IN_TURN, HIGHER, CHAMBER_1, ONE_PUMP)]
     wanted = [one for one in flow_candidates(Scale.of(courses), rig) if one.name in PUMP]
-    errors = []
+    errors, displacements = [], []
     for way in ways:
         tables = Recordings(tables_of(way, rig, "flow", wanted, policy), own_oil=True)
         names = list(tables.candidates)
         errors.append(tables.errors(names) if len(courses) > 1 else np.array(
             [table.rms(table.crosswise(names)) for table in tables.tables]))
+        displacements.append(-np.median([table.mixture(table.gram, names)[table.places["D_p"]]
+                                         for table in tables.tables]))
     owed = policy.gain if len(courses) > 1 else policy.alone
     gains = [0.0]
     for other in errors[1:]:
         gain, t = tables.gain(errors[0], other)
         gains.append(gain if gain >= owed and (t >= policy.repeats or len(courses) == 1)
                      else -np.inf)
-    return _apart(ways[ties.largest(gains)], rig, policy)
+    best = ties.largest(gains)
+    if best in (1, 3) and abs(gains[1] - gains[3]) < policy.gain and rig.pump_displacement:
+        off = [abs(np.log(max(displacements[i], 1e-300) / rig.pump_displacement)) for i in (1, 3)]
+        best = 1 if off[0] <= off[1] else 3
+    return _apart(ways[best], rig, policy)
 
 
 def _apart(courses: list[Course], rig: Rig, policy: Policy) -> list[Course]:
