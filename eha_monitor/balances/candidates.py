@@ -196,6 +196,7 @@ class Scale:
     ``relaxed`` : where a spring is, that of the config; of another the middle of the motion, where
     its rate moves no load.
     ``contacts`` : see :func:`contact.contacts_of`.
+    ``fastest`` : the top speed of the fastest; 0 in files of older versions.
     """
 
     origin: float
@@ -207,6 +208,7 @@ class Scale:
     turns: bool = True
     relaxed: float = 0.0
     contacts: tuple[tuple[float, float], ...] = ()
+    fastest: float = 0.0
 
     @classmethod
     def of(cls, courses: Sequence[Course], contacts: tuple[tuple[float, float], ...] = ()
@@ -222,7 +224,7 @@ class Scale:
                    tuple(np.quantile(np.concatenate(pumps), TOPS).tolist()) if pumps else (),
                    all(turned(c) for c in courses if c.moving.any()),
                    courses[0].effects.get("spring_load", {}).get(
-                       "x_0", 0.5 * (low + high)), contacts)
+                       "x_0", 0.5 * (low + high)), contacts, max(c.speed for c in courses))
 
 
 BOTH = 0.05  # of the moving samples: a recording that turns round has more either way

@@ -69,6 +69,11 @@ def against(machine: Machine, recordings: Sequence[Recording], settings: Setting
     recordings, courses, left_out = courses_of(recordings, settings)
     if not any(course.shows for course in courses):
         return replace(still(recordings, courses, (), started), references=references)
+    seconds = sum(float(course.good.sum()) * course.dt for course in courses)
+    if seconds < 2.0 * machine.policy.block:
+        return replace(still(recordings, courses, (), started), references=references, message=(
+            f"only {seconds:.2g} s of its motion can be compared: expected "
+            f"{2.0 * machine.policy.block:g} s"))
     courses, outside = within_stroke(machine, courses)
     if outside > machine.policy.open:
         return replace(still(recordings, courses, (), started), references=references, message=(
@@ -76,7 +81,12 @@ def against(machine: Machine, recordings: Sequence[Recording], settings: Setting
             "been: record it on the same part of the stroke"))
     apart = _apart(machine, balances_in(courses, rig), settings, references)
     read, reading, sensor = without_sensor_error(machine, recordings, settings, courses)
-    judged, courses = reading.judged, reading.courses
+    blind = _blind(machine, [one.balance for one in read.balances])
+    # Of a drive whose law nobody has told the numbers are the motion's.
+    read, judged = (one if sensor else replace(one, balances=tuple(
+        each for each in one.balances if each.balance != "drive" or "drive" not in blind))
+        for one in (read, reading.judged))
+    courses = reading.courses
     apart, viscosity = apart + _other_pump(machine, judged), viscosity_of(courses)
     stiffness = stiffness_of(courses, rig)
     judged = replace(judged, balances=tuple(replace(one, changed=tuple(
@@ -104,8 +114,7 @@ def against(machine: Machine, recordings: Sequence[Recording], settings: Setting
             source.now.value > source.reference.value
             and any(one.balance == "flow" for one in changes)):
         verdict, changes = "mismatch", (*changes, source)
-    blind = _blind(machine, [one.balance for one in judged.balances])
-    if verdict == "consistent" and len(blind) == len(judged.balances):
+    if verdict == "consistent" and {one.balance for one in judged.balances} <= blind.keys():
         verdict = "insufficient_data"
     models = [_model(one) for one in judged.balances]
     if sensor:
@@ -194,7 +203,8 @@ def _blind(machine: Machine, there: Sequence[str]) -> dict[str, float]:
     """
     usual = {one.balance: float(np.median(one.held)) for one in machine.balances
              if one.balance in there}
-    return {balance: left for balance, left in usual.items() if left > machine.policy.open}
+    return {balance: left for balance, left in usual.items() if left > (
+        machine.policy.near if balance == "drive" else machine.policy.open)}
 
 
 def shares_of(changes: Sequence[Change], balances: Iterable[str]) -> dict[str, float]:
@@ -460,7 +470,8 @@ def _advice(machine: Machine, courses: Sequence[Course], references: tuple[str, 
     if outside > machine.policy.worse:
         found.append(f"{share(outside, 2)} of its motion is where no reference has been, and not "
                      "compared")
-    if max(course.speed for course in courses) > FASTER * machine.scale.speed:
+    known = machine.scale.fastest or machine.scale.speed
+    if max(course.speed for course in courses) > FASTER * known:
         found.append("it moves faster than the references; above their speed nothing can be "
                      "compared")
     if verdict == "unexplained":

@@ -40,6 +40,7 @@ MOTION = 4.0  # bands: pass band of the motion
 STEPS = 8  # of the effects' memory in a sample: a line is faster than the grid
 GRID, COARSE = 32, 4  # points in a period of the band; each so-many-th of them is compared
 BRIDGED = 0.1  # of a period of the motion's band: a gap that a straight line bridges
+FADED = 0.01  # of the motion: what is left of a gap that may count
 JOINED = 5.0  # periods of the band that a step takes to fade to 1e-5 of itself behind its low-pass
 APART = 0.5  # periods of the band over which its low-pass mixes a sample with its neighbours
 SPARSE = 0.4  # samples in a period of the band, inverted: fewer do not hold it
@@ -362,7 +363,7 @@ def course_of(recording: Recording, settings: Settings, band: float = BAND) -> C
     circuit = circuit_of(theta, active)
     true, noise = undo_sensors(cleaned, noise, circuit, rows * dt)
     missing = _gaps(~np.all([np.isfinite(true[name]) for name in needed], axis=0),
-                    round(BRIDGED / (MOTION * band * dt)))
+                    round(BRIDGED / (MOTION * band * dt)), 1.0 / (band * dt))
     fades = round(JOINED / (band * dt))
     for join in np.flatnonzero(np.diff(rows) > 1):  # of two stretches: a step, for a low-pass
         missing[max(join - fades, 0):join + fades] = True
@@ -426,12 +427,19 @@ def _viscosity(recording: Recording, settings: Settings) -> float:
         settings.viscosity, float(np.nanmean(recording.channels["temperature"])))
 
 
-def _gaps(missing: np.ndarray, short: int) -> np.ndarray:
-    """Return where samples are missing, (n,) bool, without runs of up to ``short`` of them."""
+def _gaps(missing: np.ndarray, short: int, period: float) -> np.ndarray:
+    """Return where samples are missing, (n,) bool, without runs of up to ``short`` of them.
+
+    With what the low-pass of the band makes of a straight line over them: it is wrong by (gap /
+    period)^2 of the motion, all of it at most, and fades to a tenth in each ``period`` (samples).
+    """
     edges = np.flatnonzero(np.diff(np.concatenate([[False], missing, [False]])))
     found = np.zeros(len(missing), dtype=bool)
     for start, stop in edges.reshape(-1, 2):
-        found[start:stop] = stop - start > short
+        if stop - start > short:
+            wrong = min((stop - start) / period, 1.0) ** 2
+            fades = round(max(np.log10(wrong / FADED), 0.0) * period)
+            found[max(start - fades, 0) : stop + fades] = True
     return found
 
 

@@ -46,7 +46,8 @@ class Policy:
     coherent : share of what a model leaves that may look like any one of its terms.  Measured: the
         spread of parameters between two days of a real actuator (docs/one_machine.md).
     near : share of a balance that the config's own model may leave open, for a filter built on it
-        to judge what is missing.  Definition: a quarter; see docs/diagnosis.md.
+        to judge what is missing, and a machine's of its drive, for that to be compared.
+        Definition: a quarter; see docs/diagnosis.md.
     """
 
     gain: float = 0.02

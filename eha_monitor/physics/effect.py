@@ -80,7 +80,7 @@ class _Said:
         if not math.isfinite(self.value):
             return "∞"
         if self.rough:
-            return f"about {quantity(float(f'{self.value:.0e}'), self.unit, 1)}"
+            return f"about {quantity(float(f'{self.value:.1e}'), self.unit, 2)}"
         if form.endswith("%"):
             return ("+" if form[0] == "+" and self.value > 0 else "") + share(self.value)
         return (signed if form == "+" else quantity)(self.value, self.unit, 3)
