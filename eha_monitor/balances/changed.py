@@ -44,6 +44,7 @@ from eha_monitor.settings.rig import Rig
 from eha_monitor.words import effect_words, listed
 
 SHARED = 0.5  # of a deviation: less of it is of the difference, so that is told too
+FEW = 5.0  # independent samples for each term: fewer leave anything
 FASTER = 1.2  # times the references' speed: beyond it nothing is known of the machine
 WHAT = {"B": "B", "C_h": "beta_e", "D_p": "pump_displacement"}
 EFFECTS = {"viscous_damping": "B", "compliance": "beta_e"}
@@ -69,11 +70,6 @@ def against(machine: Machine, recordings: Sequence[Recording], settings: Setting
     recordings, courses, left_out = courses_of(recordings, settings)
     if not any(course.shows for course in courses):
         return replace(still(recordings, courses, (), started), references=references)
-    seconds = sum(float(course.good.sum()) * course.dt for course in courses)
-    if seconds < 2.0 * machine.policy.block:
-        return replace(still(recordings, courses, (), started), references=references, message=(
-            f"only {seconds:.2g} s of its motion can be compared: expected "
-            f"{2.0 * machine.policy.block:g} s"))
     courses, outside = within_stroke(machine, courses)
     if outside > machine.policy.open:
         return replace(still(recordings, courses, (), started), references=references, message=(
@@ -107,6 +103,10 @@ def against(machine: Machine, recordings: Sequence[Recording], settings: Setting
             verdict, changes, judged = "mismatch", (*changes, oil), softer
         else:
             verdict = "unexplained"
+    if verdict == "unexplained" and _short(machine, judged):
+        return replace(still(recordings, courses, (), started), references=references, message=(
+            "too little of its motion can be compared: what differs has fewer than "
+            f"{FEW:g} independent samples for each number of the machine"))
     source = source_of(machine, courses, rig, next(
         (one for one in moved if one.candidate.effect == LOAD), None))
     # More oil through a leak or from a pump holds an emptier chamber higher by itself.
@@ -193,6 +193,12 @@ def _other_pump(machine: Machine, judged: Judged) -> tuple[str, ...]:
         "of this machine" for one in machine.balances for p in one.parameters
         if p.name == "D_p" and p.value > 0.0 and p.name in judged.values
         and of_another(judged.values[p.name][0], p.value))
+
+
+def _short(machine: Machine, judged: Judged) -> bool:
+    """Tell whether what is unlike healthy recordings has too few samples for the terms it has."""
+    return all(one.table.effective < FEW * len(machine[one.balance].terms)
+               for one in judged.loud)
 
 
 def _blind(machine: Machine, there: Sequence[str]) -> dict[str, float]:

@@ -362,8 +362,11 @@ def course_of(recording: Recording, settings: Settings, band: float = BAND) -> C
     theta, active = theta_of(rig, settings.effects)
     circuit = circuit_of(theta, active)
     true, noise = undo_sensors(cleaned, noise, circuit, rows * dt)
-    missing = _gaps(~np.all([np.isfinite(true[name]) for name in needed], axis=0),
-                    round(BRIDGED / (MOTION * band * dt)), 1.0 / (band * dt))
+    bridged = round(BRIDGED / (MOTION * band * dt))
+    missing = _gaps(~np.all([np.isfinite(true[name]) for name in needed], axis=0), bridged)
+    # What stands still is as a straight line says; what was not recorded is not.
+    missing |= _gaps(~np.all([np.isfinite(recording.channels[name]) for name in needed], axis=0),
+                     bridged, 1.0 / (band * dt))
     fades = round(JOINED / (band * dt))
     for join in np.flatnonzero(np.diff(rows) > 1):  # of two stretches: a step, for a low-pass
         missing[max(join - fades, 0):join + fades] = True
@@ -427,17 +430,18 @@ def _viscosity(recording: Recording, settings: Settings) -> float:
         settings.viscosity, float(np.nanmean(recording.channels["temperature"])))
 
 
-def _gaps(missing: np.ndarray, short: int, period: float) -> np.ndarray:
+def _gaps(missing: np.ndarray, short: int, period: float = 0.0) -> np.ndarray:
     """Return where samples are missing, (n,) bool, without runs of up to ``short`` of them.
 
     With what the low-pass of the band makes of a straight line over them: it is wrong by (gap /
-    period)^2 of the motion, all of it at most, and fades to a tenth in each ``period`` (samples).
+    period)^2 of the motion, all of it at most, and fades to a tenth in each ``period`` (samples;
+    0: the line is right).
     """
     edges = np.flatnonzero(np.diff(np.concatenate([[False], missing, [False]])))
     found = np.zeros(len(missing), dtype=bool)
     for start, stop in edges.reshape(-1, 2):
         if stop - start > short:
-            wrong = min((stop - start) / period, 1.0) ** 2
+            wrong = min((stop - start) / max(period, 1e-9), 1.0) ** 2
             fades = round(max(np.log10(wrong / FADED), 0.0) * period)
             found[max(start - fades, 0) : stop + fades] = True
     return found
