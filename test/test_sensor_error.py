@@ -73,3 +73,22 @@ def test_a_load_is_no_error_of_a_sensor(healthy):
         change.indistinguishable_from)
     assert change.now.value == pytest.approx(150.0, abs=3.0 * change.now.stddev)
     assert np.isfinite(change.now.stddev)
+
+
+def test_gaps_of_a_logger_are_no_change(healthy):
+    recording = now()
+    holes = np.zeros(len(recording), dtype=bool)
+    for first, last in ((5.0, 7.0), (11.0, 11.5), (16.0, 16.05)):
+        holes[round(first / recording.sample_time):round(last / recording.sample_time)] = True
+    channels = {name: np.where(holes, np.nan, values)
+                for name, values in recording.channels.items()}
+    found = compared([replace(recording, channels=channels)], healthy, settings(rig=LEAKS))
+    assert (found.verdict, found.changes) == ("consistent", ())
+    assert "a change shows from" in found.advice[-1]
+
+
+def test_too_short_a_motion_is_no_change(healthy):
+    recording = now()
+    short = {name: values[4000:4800] for name, values in recording.channels.items()}
+    found = compared([replace(recording, channels=short)], healthy, settings(rig=LEAKS))
+    assert found.verdict in ("consistent", "insufficient_data")

@@ -44,7 +44,6 @@ from eha_monitor.settings.rig import Rig
 from eha_monitor.words import effect_words, listed
 
 SHARED = 0.5  # of a deviation: less of it is of the difference, so that is told too
-FEW = 5.0  # independent samples for each term: fewer leave anything
 FASTER = 1.2  # times the references' speed: beyond it nothing is known of the machine
 WHAT = {"B": "B", "C_h": "beta_e", "D_p": "pump_displacement"}
 EFFECTS = {"viscous_damping": "B", "compliance": "beta_e"}
@@ -78,11 +77,10 @@ def against(machine: Machine, recordings: Sequence[Recording], settings: Setting
     apart = _apart(machine, balances_in(courses, rig), settings, references)
     read, reading, sensor = without_sensor_error(machine, recordings, settings, courses)
     blind = _blind(machine, [one.balance for one in read.balances])
-    # Of a drive whose law nobody has told the numbers are the motion's.
-    read, judged = (one if sensor else replace(one, balances=tuple(
-        each for each in one.balances if each.balance != "drive" or "drive" not in blind))
-        for one in (read, reading.judged))
-    courses = reading.courses
+    judged, courses = reading.judged, reading.courses
+    if "drive" in blind and not sensor:  # of an unknown law its numbers are the motion's
+        judged = replace(judged, balances=tuple(
+            one for one in judged.balances if one.balance != "drive"))
     apart, viscosity = apart + _other_pump(machine, judged), viscosity_of(courses)
     stiffness = stiffness_of(courses, rig)
     judged = replace(judged, balances=tuple(replace(one, changed=tuple(
@@ -103,10 +101,11 @@ def against(machine: Machine, recordings: Sequence[Recording], settings: Setting
             verdict, changes, judged = "mismatch", (*changes, oil), softer
         else:
             verdict = "unexplained"
-    if verdict == "unexplained" and _short(machine, judged):
+    seconds = sum(float(course.good.sum()) * course.dt for course in courses)
+    if verdict == "unexplained" and seconds < 2.0 * machine.policy.block:  # it may leave anything
         return replace(still(recordings, courses, (), started), references=references, message=(
-            "too little of its motion can be compared: what differs has fewer than "
-            f"{FEW:g} independent samples for each number of the machine"))
+            f"{seconds:.2g} s of its motion can be compared, and expected are "
+            f"{2.0 * machine.policy.block:g} s where something is unlike the healthy recordings"))
     source = source_of(machine, courses, rig, next(
         (one for one in moved if one.candidate.effect == LOAD), None))
     # More oil through a leak or from a pump holds an emptier chamber higher by itself.
@@ -193,12 +192,6 @@ def _other_pump(machine: Machine, judged: Judged) -> tuple[str, ...]:
         "of this machine" for one in machine.balances for p in one.parameters
         if p.name == "D_p" and p.value > 0.0 and p.name in judged.values
         and of_another(judged.values[p.name][0], p.value))
-
-
-def _short(machine: Machine, judged: Judged) -> bool:
-    """Tell whether what is unlike healthy recordings has too few samples for the terms it has."""
-    return all(one.table.effective < FEW * len(machine[one.balance].terms)
-               for one in judged.loud)
 
 
 def _blind(machine: Machine, there: Sequence[str]) -> dict[str, float]:

@@ -62,27 +62,26 @@ def of_one_machine(courses: Sequence[Course], rig: Rig, policy: Policy = POLICY)
     if any(course.ratio == 1.0 for course in courses):
         oil = oil_of(courses)
         return _apart([replace(course, oil=oil) for course in courses], rig, policy)
-    ways = [[replace(course, oil=oil) for course in courses]
-            for oil in (IN_TURN, HIGHER, CHAMBER_1, ONE_PUMP)]
     wanted = [one for one in flow_candidates(Scale.of(courses), rig) if one.name in PUMP]
-    errors, displacements = [], []
-    for way in ways:
-        tables = Recordings(tables_of(way, rig, "flow", wanted, policy), own_oil=True)
-        names = list(tables.candidates)
-        errors.append(tables.errors(names) if len(courses) > 1 else np.array(
-            [table.rms(table.crosswise(names)) for table in tables.tables]))
-        displacements.append(-np.median([table.mixture(table.gram, names)[table.places["D_p"]]
-                                         for table in tables.tables]))
     owed = policy.gain if len(courses) > 1 else policy.alone
-    gains = [0.0]
-    for other in errors[1:]:
-        gain, t = tables.gain(errors[0], other)
-        gains.append(gain if gain >= owed and (t >= policy.repeats or len(courses) == 1)
-                     else -np.inf)
-    best = ties.largest(gains)
-    if best in (1, 3) and abs(gains[1] - gains[3]) < policy.gain and rig.pump_displacement:
-        off = [abs(np.log(max(displacements[i], 1e-300) / rig.pump_displacement)) for i in (1, 3)]
-        best = 1 if off[0] <= off[1] else 3
+    ways, gains, displacements, first = {}, {}, {}, None
+    for oil in (IN_TURN, HIGHER, CHAMBER_1, ONE_PUMP):
+        ways[oil] = [replace(course, oil=oil) for course in courses]
+        tables = Recordings(tables_of(ways[oil], rig, "flow", wanted, policy), own_oil=True)
+        names = list(tables.candidates)
+        errors = tables.errors(names) if len(courses) > 1 else np.array(
+            [table.rms(table.crosswise(names)) for table in tables.tables])
+        first = errors if first is None else first
+        gain, t = tables.gain(first, errors)
+        gains[oil] = gain if oil == IN_TURN or (gain >= owed and (
+            t >= policy.repeats or len(courses) == 1)) else -np.inf
+        displacements[oil] = -np.median([table.mixture(table.gram, names)[table.places["D_p"]]
+                                         for table in tables.tables])
+    best = list(ways)[ties.largest(list(gains.values()))]
+    alike = abs(gains[HIGHER] - gains[ONE_PUMP]) < policy.gain
+    if best in (HIGHER, ONE_PUMP) and alike and rig.pump_displacement:
+        best = min((HIGHER, ONE_PUMP), key=lambda oil: round(abs(np.log(
+            max(displacements[oil], 1e-300) / rig.pump_displacement)), 6))
     return _apart(ways[best], rig, policy)
 
 

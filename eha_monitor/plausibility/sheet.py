@@ -91,27 +91,10 @@ def _sizes(first: Baseline, settings: Settings) -> list[str]:
         written = units_in(settings).get("p1")
         found.append(_both(*heavy) + (_unit(*heavy, hypot(mass, area), written)
                                       or _late(first.force, *heavy)))
-    if pumped and _fills_chamber_2(*pumped, settings):
-        found.append(f"{_both(*pumped)}: that is area_1/area_2 times as much, as of one pump that "
-                     "fills chamber 2, where the pressure is; here it counts as of chamber 1, so "
-                     f"write rig.pump_displacement: {rounded(pumped[0].value):g}")
-    elif pumped:
+    if pumped:
         found.append(f"{_both(*pumped)}: is it right, and a revolution not taken for a radian?  "
                      "Areas that are off by the same factor, or a pump that slips, read so too")
     return found
-
-
-def _fills_chamber_2(term: Term, given: float, settings: Settings) -> bool:
-    """Tell whether a displacement is that of the config, of a pump that fills chamber 2 alone.
-
-    A2 x' = D_p omega is A1 x' = (A1 / A2) D_p omega.
-    """
-    rig = settings.rig
-    if not (rig.area_1 and rig.area_2) or rig.area_1 == rig.area_2:
-        return False
-    off = abs(log(term.value / given * rig.area_2 / rig.area_1))
-    return off < APART * hypot(_share(term), rig.tolerance.pump_displacement) < abs(
-        log(rig.area_1 / rig.area_2))
 
 
 def _off(fit: BalanceFit | None, name: str, given: float | None, tolerance: float

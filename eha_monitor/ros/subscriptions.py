@@ -44,6 +44,8 @@ class TopicInput:
     Attributes
     ----------
     key : of the topic in the diagnostics: its name in the config, or that of a remap.
+    channels : that it brings.
+    leads : whether the position is one of them, which stamps the rows.
     messages : how many came.
     type : of the messages, such as ``sensor_msgs/msg/JointState``; None before it is known.
     reader : of messages of that type.
@@ -52,6 +54,9 @@ class TopicInput:
 
     def __init__(self, node: Node, topic: Topic, qos: QoSProfile = INPUT_QOS):
         self.topic = topic
+        self.channels = frozenset(name for entry in topic.entries
+                                  for name in entry.source.channels)
+        self.leads = "x" in self.channels
         own = f"{node.get_namespace().rstrip('/')}/{topic.name}"
         self.key = (topic.name if topic.full_name in (own, topic.name) else
                     topic.full_name).strip("/").replace("/", "_")
@@ -116,11 +121,6 @@ class TopicInput:
         self.messages += len(messages)
         return messages, received, sent_ns
 
-    @property
-    def leads(self) -> bool:
-        """Whether it brings the position, which stamps the rows."""
-        return "x" in self.channels
-
     def read(self, messages: Sequence[bytes], came: np.ndarray, now_ns: np.ndarray
              ) -> list[Batch]:
         """Return the samples of each stream in messages of :meth:`take`.
@@ -136,11 +136,6 @@ class TopicInput:
         if self._subscription is not None:
             self._subscription.destroy_when_not_in_use()
             self._subscription = None
-
-    @property
-    def channels(self) -> set[str]:
-        """Channels that it brings."""
-        return {channel for entry in self.topic.entries for channel in entry.source.channels}
 
     def problems(self, now: float, silent_after: float,
                  optional: frozenset[str] = OPTIONAL) -> list[str]:

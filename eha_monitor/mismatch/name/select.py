@@ -180,7 +180,7 @@ class Search:
             raise Unfollowed
 
     @property
-    def tires(self) -> bool:
+    def out_of_time(self) -> bool:
         """Tell whether it may end without an answer, and has had its time."""
         return self.may_end and self.experiment.work.steps > ENOUGH
 
@@ -446,7 +446,7 @@ def next_place(search: Search, turn: int) -> tuple[Names, Fit] | None:
     Unfollowed
         If it may end so, and there is no other place or no time left.
     """
-    if search.tires:
+    if search.out_of_time:
         raise Unfollowed
     if search.gained_nothing():
         other = None if search.far else far_off(search)
