@@ -399,7 +399,7 @@ def place_of(models: Sequence[Model], courses: Sequence[Course],
     for one in models:
         if shares.get(one.balance, 0.0) <= 0.0:
             continue
-        parts = parts_of(one, courses)
+        parts = parts_of(one, courses, blamed == {"sensor"})
         curves += places.curves_of(one.balance, SIDES[one.balance], parts)
         if one is worst:
             regime, weight = places.regime_of(one.balance, parts)
@@ -410,10 +410,15 @@ def place_of(models: Sequence[Model], courses: Sequence[Course],
     return where, tuple(curves)
 
 
-def parts_of(model: Model, courses: Sequence[Course]) -> list[places.Part]:
-    """Return what a balance lacks along the recordings: what is left, and what its names make."""
-    made = made_by(model.named, model) if model.named and len(model.shown) == len(
-        model.tables) else [None] * len(model.shown)
+def parts_of(model: Model, courses: Sequence[Course], by_sensor: bool = False
+             ) -> list[places.Part]:
+    """Return what a balance lacks along the recordings: what is left, and what its names make.
+
+    ``by_sensor``: what goes with the error of a sensor is made by that.
+    """
+    made = [before - after for before, after in zip(model.before, model.after, strict=True)
+            ] if by_sensor else made_by(model.named, model) if model.named and len(
+                model.shown) == len(model.tables) else [None] * len(model.shown)
     found = []
     for table, left, course, one in zip(model.shown, model.after, courses, made, strict=True):
         x, v = course.compared(course.x), course.compared(course.v)
