@@ -112,7 +112,7 @@ def test_a_drive_at_its_limit_is_no_change_of_its_gain(healthy, settings):
     found = against(healthy, [loop(30, limit=0.4 * top)], settings, HELD)
     assert found.verdict == "unexplained" and not found.changes
     assert "drive: the machine's terms fitted anew leave" in found.message
-    assert "nearest to it, and no explanation" in found.message
+    assert "the nearest, which does not explain it" in found.message
 
 
 def test_a_limit_far_below_what_is_asked_for_is_named(settings):

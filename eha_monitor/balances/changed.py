@@ -443,7 +443,7 @@ def _message(verdict: str, changes: Sequence[Change], judged: Judged, runs: str,
                 "change" if abs(largest.deviations) > largest.limit else ""))
         return f"nothing has changed from {runs}{most}"
     said = [_left(one) for one in judged.loud]
-    said += [f"nearest to it, and no explanation, is that {one}" for one in nearest]
+    said += [f"the nearest, which does not explain it, is that {one}" for one in nearest]
     return "what has changed is not one of the numbers that the machine has" + (
         f"; {'; '.join(said)}" if said else "")
 

@@ -131,7 +131,7 @@ def curve_figure(found: Diagnosis, curve: MissingTerm, large: bool = False) -> f
                    + ["the learned term" for term in found.learned
                       if term.balance == curve.balance]
                    + ["what has changed" for change in found.changes[:1]
-                      if change.balance == curve.balance and not found.effects])
+                      if change.balance in (curve.balance, "sensor") and not found.effects])
     with_line = bool(named) and bool(np.isfinite(modelled).any())
     spread = np.where(np.isfinite(spread), spread, 0.0)
     low, high, _ = robust_range([measured, measured - spread, measured + spread,
