@@ -384,12 +384,13 @@ def place_of(models: Sequence[Model], courses: Sequence[Course],
     if verdict == "consistent":
         return Location(nowhere, "", ()), ()
     blamed = {effect.balance for effect in effects} | {SIDE_OF[one.key] for one in wrong}
+    by_sensor = blamed == {"sensor"}
     if verdict == "unexplained":
         weights = {one.balance: max(one.error**2 - usual.get(one.balance, 0.0)**2, 0.0)
                    for one in models}
     else:  # a sensor's error shows in every balance that it spoils
         weights = {one.balance: max(one.nominal_error**2 - one.error**2, 1e-12)
-                   for one in models if one.balance in blamed or blamed == {"sensor"}}
+                   for one in models if one.balance in blamed or by_sensor}
     total = sum(weights.values())
     if not total:
         return Location(nowhere, "always", ()), ()
@@ -399,12 +400,12 @@ def place_of(models: Sequence[Model], courses: Sequence[Course],
     for one in models:
         if shares.get(one.balance, 0.0) <= 0.0:
             continue
-        parts = parts_of(one, courses, blamed == {"sensor"})
+        parts = parts_of(one, courses, by_sensor)
         curves += places.curves_of(one.balance, SIDES[one.balance], parts)
         if one is worst:
             regime, weight = places.regime_of(one.balance, parts)
             where = Location(
-                nowhere | (shares if blamed != {"sensor"} else {"sensor": 1.0}), regime,
+                nowhere | ({"sensor": 1.0} if by_sensor else shares), regime,
                 places.worst_intervals(parts, weight) if regime != "always"
                 else places.whole_of(parts))
     return where, tuple(curves)
@@ -416,9 +417,11 @@ def parts_of(model: Model, courses: Sequence[Course], by_sensor: bool = False
 
     ``by_sensor``: what goes with the error of a sensor is made by that.
     """
-    made = [before - after for before, after in zip(model.before, model.after, strict=True)
-            ] if by_sensor else made_by(model.named, model) if model.named and len(
-                model.shown) == len(model.tables) else [None] * len(model.shown)
+    made = [None] * len(model.shown)
+    if by_sensor:
+        made = [before - after for before, after in zip(model.before, model.after, strict=True)]
+    elif model.named and len(model.shown) == len(model.tables):
+        made = made_by(model.named, model)
     found = []
     for table, left, course, one in zip(model.shown, model.after, courses, made, strict=True):
         x, v = course.compared(course.x), course.compared(course.v)

@@ -101,11 +101,11 @@ def against(machine: Machine, recordings: Sequence[Recording], settings: Setting
             verdict, changes, judged = "mismatch", (*changes, oil), softer
         else:
             verdict = "unexplained"
-    seconds = sum(float(course.good.sum()) * course.dt for course in courses)
-    if verdict == "unexplained" and seconds < 2.0 * machine.policy.block:  # it may leave anything
+    seconds, asked = sum(course.seconds for course in courses), 2.0 * machine.policy.block
+    if verdict == "unexplained" and seconds < asked:  # so little may leave anything
         return replace(still(recordings, courses, (), started), references=references, message=(
-            f"{seconds:.2g} s of its motion can be compared, and expected are "
-            f"{2.0 * machine.policy.block:g} s where something is unlike the healthy recordings"))
+            f"{seconds:.2g} s of its motion can be compared, and expected are {asked:g} s where "
+            "something is unlike the healthy recordings"))
     source = source_of(machine, courses, rig, next(
         (one for one in moved if one.candidate.effect == LOAD), None))
     # More oil through a leak or from a pump holds an emptier chamber higher by itself.

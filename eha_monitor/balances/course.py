@@ -157,6 +157,11 @@ class Course:
         return self.every * self.dt
 
     @property
+    def seconds(self) -> float:
+        """How long it can be compared, s."""
+        return float(self.good.sum()) * self.dt
+
+    @property
     def shows(self) -> bool:
         """Whether the piston moves in it, and the force with it."""
         return not self.still
@@ -394,7 +399,7 @@ def course_of(recording: Recording, settings: Settings, band: float = BAND) -> C
         raise InputError(
             f"{recording.source}: expected at least {SHORTEST:g} s of motion away from stops with "
             f"all channels, found {good.sum() * step:.1f} s" + (
-                f"; {least} has a value in {100.0 * seldom[least]:.2g} % of the rows"
+                f"; {least} has a value in {share(seldom[least], 2)} of the rows"
                 if seldom[least] < SELDOM else ""))
     v, x = v[::every], np.ascontiguousarray(x[::every])  # one layout for compiled loops
     p1, p2, omega = (fine(whole[name]) if name in whole else None

@@ -301,7 +301,7 @@ def healthy_machine_of(courses: Sequence[Course], settings: Settings, policy: Po
     if len(courses) >= policy.fewest:
         machine = machine_from(courses, settings.rig, (), (), policy)
         return of_those_that_belong(machine, courses, settings.rig, (), ())
-    seconds = sum(float(course.good.sum()) * course.dt for course in courses)
+    seconds = sum(course.seconds for course in courses)
     if seconds < PIECES * SHORTEST_S:
         raise InputError(
             f"{courses[0].source}: expected at least {policy.fewest} reference recordings, or "
