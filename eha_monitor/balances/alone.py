@@ -251,7 +251,7 @@ class _Choice:
         error, before = self.unseen(kept), self.unseen(self.always)
         if error > before + self.policy.worse:
             refused.append(Refused(
-                "unseen_error", self.table.candidates[0].balance,
+                "unseen_error", self.table.balance,
                 f"on unseen parts {share(error, 2)} of it would stay open, {share(before, 2)} "
                 "without the names"))
             return list(self.always)
@@ -260,7 +260,7 @@ class _Choice:
     def as_good_as_first_view(self, kept: list[str], refused: list[Refused]) -> list[str]:
         """Return the terms with those of the first view where these leave less."""
         more = [name for name in FIRST_VIEW if name in self.of and name not in kept]
-        if self.table.candidates[0].balance != "force" or not more:
+        if self.table.balance != "force" or not more:
             return kept
         first = [*self.always, *(name for name in FIRST_VIEW if name in self.of)]
         table = self.table

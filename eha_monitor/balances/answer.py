@@ -240,9 +240,11 @@ def _composed(models: Sequence[Model], courses: Sequence[Course], settings: Sett
                      for some in (wrong, within))
     models = [one.plain() if one.balance in nameless else one for one in models]
     blamed = {one.balance for one in effects} | {SIDE_OF[one.key] for one in wrong}
-    unsure = [one for one in models
-              if one.balance not in blamed and not agrees(one, rig, policy)]
-    verdict = "mismatch" if blamed else "unexplained" if open_ or unsure else "consistent"
+    learned = {one.balance: one.learned for one in models if one.learned is not None}
+    unsure = [one for one in models if one.balance not in {*blamed, *learned}
+              and not agrees(one, rig, policy)]
+    verdict = "mismatch" if blamed else (
+        "unexplained" if open_ or unsure or learned else "consistent")
     stiffness = stiffness_of(courses, rig)
     before, after = (known_of(
         [one for one in models if nominal or one.balance not in (*varying, *nameless)], rig,
@@ -251,7 +253,8 @@ def _composed(models: Sequence[Model], courses: Sequence[Course], settings: Sett
     shown = models
     if verdict == "unexplained":
         shown = [one.plain() for one in models]
-        effects, wrong, within, after = [], (), (), {}
+        effects, wrong, within = [], (), ()
+        after = {name: value for name, value in after.items() if BALANCE_OF[name] in learned}
     where, curves = place_of(shown, courses, effects, wrong, verdict)
     message = "; ".join([
         *(one.statement for one in (*wrong, *effects)),
@@ -259,6 +262,8 @@ def _composed(models: Sequence[Model], courses: Sequence[Course], settings: Sett
           for one in models if one.balance in varying),
         *(f"nothing of the catalogue explains {share(one.error, 2)} of the {one.balance} balance"
           for one in open_),
+        *(f"the {balance} balance lacks an effect that is not in the catalogue: {term.sentence}"
+          for balance, term in learned.items()),
         *map(_unsure_words, [one for one in unsure if one.balance not in nameless])]) or (
         _agreeing_words(models, policy))
     return Diagnosis(
@@ -271,7 +276,9 @@ def _composed(models: Sequence[Model], courses: Sequence[Course], settings: Sett
         health=tuple(sentence for name, value in before.items() for sentence in health_sentences(
             {name: value}, after, [e for e in effects if e.balance == BALANCE_OF[name]])
         ) + _warmed(models, policy),
-        config_effects=config_effects(models, effects, settings),
+        config_effects=config_effects(models, effects, settings) | {
+            f"learned_{term.adds}": term.entry for term in learned.values()},
+        learned=tuple(learned.values()),
         probability={"consistent": np.nan, "unexplained": np.nan}, rig_data=wrong,
         rig_within=within,
         fitted=_fitted(models, after, effects, wrong), gates=tuple(

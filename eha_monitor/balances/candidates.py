@@ -27,9 +27,9 @@ from eha_monitor.physics import signals as s
 from eha_monitor.physics.contributions import N_EFFECTS, N_THETA, new_memory, slot_of
 from eha_monitor.physics.effects import NAMES
 from eha_monitor.physics.effects.oil import compliance
-from eha_monitor.physics.own_term import parsed
 from eha_monitor.quantity import quantity
 from eha_monitor.settings.hypothesis import Hypothesis
+from eha_monitor.settings.own_terms import slot_for
 from eha_monitor.settings.rig import Rig
 
 BALANCES = ("force", "flow", "drive")
@@ -559,31 +559,39 @@ def _linear(hypothesis: Hypothesis, start: dict[str, float], key: str) -> bool:
     """Tell whether a term is proportional to a parameter, on some motion."""
     track = np.random.default_rng(0).uniform(-1.0, 1.0, (64, s.N_SIGNALS))
     track[:, s.P1:s.OMEGA] = 1e6 * (2.0 + track[:, s.P1:s.OMEGA])
-    one, other = (_made(hypothesis, values, track, 1e-3) for values in (
+    one, other = (_made(hypothesis.entry(values), track, 1e-3) for values in (
         start, {**start, key: BY_HALF * start[key]}))
     return bool(np.any(one)) and np.allclose(other, BY_HALF * one, rtol=1e-9)
 
 
-def _made(hypothesis: Hypothesis, values: dict[str, float], track: np.ndarray, dt: float
-          ) -> np.ndarray:
-    """Return what a hypothesis contributes along a motion, (n, N_CONTRIBUTIONS)."""
+def _made(entry: dict, track: np.ndarray, dt: float) -> np.ndarray:
+    """Return what an own term of a config contributes along a motion, (n, N_CONTRIBUTIONS)."""
     which = len(NAMES)
     theta, active = np.zeros(N_THETA), np.zeros(N_EFFECTS, dtype=np.bool_)
-    theta[slot_of(which)] = parsed(hypothesis.expression).slot(hypothesis.adds, values)
+    theta[slot_of(which)] = slot_for(entry)
     active[which] = True
     found = np.zeros((len(track), s.N_CONTRIBUTIONS))
     contributions_along(track, dt, 2, theta, active, new_memory(), found)
     return found
 
 
-def _column(hypothesis: Hypothesis, values: dict[str, float], key: str, course: Course, rig: Rig
-            ) -> np.ndarray | None:
-    """Return the term along a recording, in its balance, by a parameter of 1; (m,)."""
-    c = _made(hypothesis, values, course.track(), course.dt) / values[key]
-    if hypothesis.adds == "force":
+def own_column(entry: dict, course: Course, rig: Rig) -> np.ndarray | None:
+    """Return an own term of a config along a recording, in its balance, (m,) SI.
+
+    None where channels are missing.
+    """
+    c = _made(entry, course.track(), course.dt)
+    if entry["adds"] == "force":
         return c[:, s.FORCE]
     if not course.has_flow:
         return None
-    if hypothesis.adds == "speed":
+    if entry["adds"] == "speed":
         return (rig.pump_displacement or 1.0) * c[:, s.SPEED]
     return course.of_filled(c[:, s.FLOW_1], -c[:, s.FLOW_2] * rig.area_1 / rig.area_2)
+
+
+def _column(hypothesis: Hypothesis, values: dict[str, float], key: str, course: Course, rig: Rig
+            ) -> np.ndarray | None:
+    """Return the term along a recording, in its balance, by a parameter of 1; (m,)."""
+    found = own_column(hypothesis.entry(values), course, rig)
+    return None if found is None else found / values[key]

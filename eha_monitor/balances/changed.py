@@ -115,6 +115,8 @@ def against(machine: Machine, recordings: Sequence[Recording], settings: Setting
         verdict, changes = "mismatch", (*changes, source)
     if verdict == "consistent" and {one.balance for one in judged.balances} <= blind.keys():
         verdict = "insufficient_data"
+    if verdict == "unexplained":
+        judged = judged.with_curves(courses, rig, machine.policy)
     models = [_model(one) for one in judged.balances]
     if sensor:
         models = [replace(one, before=_model(raw).before)
@@ -143,7 +145,9 @@ def against(machine: Machine, recordings: Sequence[Recording], settings: Setting
             signal_rms=one.size) for one in models}, curves,
         () if verdict == "consistent" else tuple(
             o for one in models if (o := overlay_of(one)) is not None),
-        advice=_advice(machine, courses, references, verdict, outside), health=(*left_out, *apart),
+        advice=_advice(machine, courses, references, verdict, outside, any(
+            one.curve is not None for one in judged.balances)), health=(*left_out, *apart),
+        learned=tuple(one.curve.term for one in judged.balances if one.curve is not None),
         changes=changes, references=references, blind=tuple(blind),
         probability={"consistent": np.nan, "unexplained": np.nan},
         duration_s=sum(one.duration for one in recordings), machine=machine,
@@ -240,6 +244,8 @@ def _model(one: JudgedBalance) -> Model:
     before, after = of_judged(one.each, one.held, one.now, free)
     terms = tuple(Term(moved.candidate, moved.here, moved.stddev, named=True,
                        rivals=moved.rivals) for moved in one.changed)
+    if one.curve is not None:
+        terms += (Term(one.table.candidates[-1], 1.0, 0.0, named=True),)
     weights = {name: one.now.get(name, 0.0) - one.held.get(name, 0.0) for name in one.now}
     return Model(one.balance, one.each, (weights,) * len(one.each), terms, (), (), tuple(before),
                  tuple(after), one.each, float(sum(table.effective for table in one.each)))
@@ -442,18 +448,21 @@ def _message(verdict: str, changes: Sequence[Change], judged: Judged, runs: str,
                 f", but it explains too little of the {largest.candidate.balance} to be called a "
                 "change" if abs(largest.deviations) > largest.limit else ""))
         return f"nothing has changed from {runs}{most}"
-    said = [_left(one) for one in judged.loud]
+    said = [_left(one) for one in judged.loud if one.curve is None]
+    said += [f"what has come is {one.curve.term.sentence}"
+             for one in judged.balances if one.curve is not None]
     said += [f"the nearest, which does not explain it, is that {one}" for one in nearest]
     return "what has changed is not one of the numbers that the machine has" + (
         f"; {'; '.join(said)}" if said else "")
 
 
 def _advice(machine: Machine, courses: Sequence[Course], references: tuple[str, ...],
-            verdict: str, outside: float) -> tuple[str, ...]:
+            verdict: str, outside: float, learned: bool) -> tuple[str, ...]:
     """Return what to know of the references, and what to do next.
 
     Parameters
     ----------
+    learned : what came is known as a curve.
     outside : share of the motion beyond the references' stroke.
     """
     found = []
@@ -473,7 +482,7 @@ def _advice(machine: Machine, courses: Sequence[Course], references: tuple[str, 
     if max(course.speed for course in courses) > FASTER * known:
         found.append("it moves faster than the references; above their speed nothing can be "
                      "compared")
-    if verdict == "unexplained":
+    if verdict == "unexplained" and not learned:
         found.append("diagnose it by itself: that shows the shape of the unknown effect")
     if verdict == "consistent" and (shows := least_change(machine)):
         found.append(shows)

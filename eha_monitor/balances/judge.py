@@ -10,6 +10,8 @@ from eha_monitor import ties
 from eha_monitor.balances.alone import covariance_by_chance, form_and_doubts, movement
 from eha_monitor.balances.candidates import DRY, Candidate, balances_in, candidates_of
 from eha_monitor.balances.course import Course
+from eha_monitor.balances.learned_curve import NAME as LEARNED
+from eha_monitor.balances.learned_curve import LearnedCurve, learned_curve, with_column
 from eha_monitor.balances.least_squares import weights_of
 from eha_monitor.balances.machine import Machine, MachineBalance, oil_of, usual_of
 from eha_monitor.balances.model import LOAD
@@ -19,6 +21,7 @@ from eha_monitor.balances.table import Table, pooled_table, tables_of
 from eha_monitor.balances.together import left_alone, setting_of, unseen
 from eha_monitor.balances.warmth import at_oil, viscosity_of
 from eha_monitor.settings.monitor import Settings
+from eha_monitor.settings.rig import Rig
 from eha_monitor.words import effect_words, listed
 
 MOST_CHANGES = 3  # that are looked for in one balance
@@ -80,6 +83,9 @@ class JudgedBalance:
     alone : what is left where all terms and changes are fitted to the recording itself, over the
         most that the terms leave so of one of the machine's own.
     nearest : changes that fit best, of a balance that no numbers describe: they explain nothing.
+    loose : spread of what may move beside a change: infinite of the recording's own setting, of
+        the oil from one recording to the next.
+    curve : what it lacks, learned from the recording.
     """
 
     balance: str
@@ -98,6 +104,8 @@ class JudgedBalance:
     small: Moved | None = None
     alone: float = 0.0
     nearest: tuple[Moved, ...] = ()
+    loose: dict[str, float] = field(default_factory=dict)
+    curve: LearnedCurve | None = None
 
     @property
     def foreign(self) -> bool:
@@ -129,6 +137,41 @@ class JudgedBalance:
         """
         return replace(self, now=self.held, after=self.error, changed=(), complete=False,
                        small=None, nearest=self.changed)
+
+    def with_curve(self, courses: Sequence[Course], rig: Rig, policy: Policy) -> "JudgedBalance":
+        """Return the balance with what it lacks learned, where a curve over a signal explains it.
+
+        Beside the machine's parameters, so it is what has come.
+        """
+        most = float(np.sqrt(self.usual**2 + policy.near * max(
+            self.error**2 - self.usual**2, 0.0))) * self.table.size
+        held = {name: value for name, value in self.held.items() if name in self.table.places}
+        curve = learned_curve(courses, self.table, rig, held, self.loose, most, policy)
+        if curve is None or self.leaves_much(curve.error / self.table.size):
+            return self
+        lengths = np.cumsum([len(table.rows) for table in self.each])[:-1]
+        table = with_column(self.table, curve)
+        now = self.held | {name: value + curve.beside.get(name, 0.0)
+                           for name, value in held.items()} | {LEARNED: 1.0}
+        return replace(
+            self, table=table, now=now, after=left_unseen(table, now, self.free), complete=True,
+            nearest=(), curve=curve, each=tuple(
+                with_column(one, replace(curve, column=part)) for one, part in zip(
+                    self.each, np.split(curve.column, lengths), strict=True)))
+
+    def values(self, policy: Policy) -> dict[str, tuple[float, float, float]]:
+        """Return the machine's parameters as the recording has them, as :class:`Judged` does.
+
+        All together: else damping takes up the friction that came.
+        """
+        own = [name for name, spread in self.loose.items() if np.isinf(spread)]
+        fitted = list(dict.fromkeys([
+            *(name for name in self.now if name in self.table.places), *own]))
+        here, chance = covariance_by_chance(self.table, fitted)
+        covariance = chance + form_and_doubts(self.table, fitted, self.after, policy)
+        return {name: row for name, *row in zip(
+            fitted, here, np.sqrt(np.diag(covariance)).tolist(),
+            np.sqrt(np.diag(chance)).tolist(), strict=True) if name in self.held}
 
     def with_change(self, moved: Moved) -> "JudgedBalance":
         """Return the balance with one more change of a number that the machine has."""
@@ -192,6 +235,15 @@ class Judged:
         """Whether what has changed has names, in each balance that names any."""
         return bool(self.changed) and all(one.settled for one in self.balances if one.changed)
 
+    def with_curves(self, courses: Sequence[Course], rig: Rig, policy: Policy) -> "Judged":
+        """Return it with what the balances that stay open lack learned, where that explains it."""
+        loud = {one.balance for one in self.loud if not (one.changed and one.settled)}
+        balances = tuple(one.with_curve(courses, rig, policy) if one.balance in loud else one
+                         for one in self.balances)
+        values = [one.values(policy) for one in balances if one.curve is not None]
+        return replace(self, balances=balances, values=self.values | {
+            name: row for found in values for name, row in found.items()})
+
     def apart(self) -> "Judged":
         """Return it without the names of balances that these leave open, where another's do not.
 
@@ -236,14 +288,7 @@ def judge(machine: Machine, courses: Sequence[Course], settings: Settings) -> Ju
         beside = replace(beside, each=tuple(tables), alone=left / max(
             *one.alone, table.floor) if one.alone else 0.0)
         found.append(beside.refused() if beside.hollow else beside)
-        fitted = list(dict.fromkeys([
-            *(name for name in found[-1].now if name in table.places), *free]))
-        # All together: else damping takes up the friction that came.
-        here, chance = covariance_by_chance(table, fitted)
-        covariance = chance + form_and_doubts(table, fitted, found[-1].after, machine.policy)
-        values |= {name: row for name, *row in zip(
-            fitted, here, np.sqrt(np.diag(covariance)).tolist(),
-            np.sqrt(np.diag(chance)).tolist(), strict=True) if name in held}
+        values |= found[-1].values(machine.policy)
     return Judged(", ".join(one.source for one in courses), tuple(found), own, values)
 
 
@@ -555,7 +600,8 @@ class _Beside:
             small, complete = small or _small(changes[0]), error - usual <= self.policy.worse
             changes, now, after = [], held, error
         return JudgedBalance(one.balance, table, held, now, error, after, usual, tuple(changes),
-                             complete, largest, one.size, tuple(free), small=small)
+                             complete, largest, one.size, tuple(free), small=small,
+                             loose=dict.fromkeys(self.free, np.inf) | self.oil)
 
 
 def _small(moved: Moved) -> Moved:

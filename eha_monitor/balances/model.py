@@ -12,6 +12,7 @@ import numpy as np
 from scipy.special import stdtr
 
 from eha_monitor.balances.alone import (
+    FIRST_VIEW,
     Alone,
     Refused,
     alone,
@@ -22,11 +23,14 @@ from eha_monitor.balances.alone import (
 from eha_monitor.balances.bends import by_falls
 from eha_monitor.balances.candidates import Candidate, Scale, candidates_of
 from eha_monitor.balances.course import Course
+from eha_monitor.balances.learned_curve import NAME as LEARNED
+from eha_monitor.balances.learned_curve import LearnedCurve, learned_curve, with_column
 from eha_monitor.balances.least_squares import from_absent, rms
 from eha_monitor.balances.machine import MachineBalance
 from eha_monitor.balances.policy import Policy
 from eha_monitor.balances.table import Table, nominal_of, pooled_table, tables_of
 from eha_monitor.balances.together import Named, Recordings, setting_of
+from eha_monitor.mismatch.diagnosis import LearnedTerm
 from eha_monitor.settings.rig import Rig
 
 LOAD = "constant_load"
@@ -91,6 +95,7 @@ class Model:
         linear model and with the terms.
     shown : tables that these belong to: the recordings themselves, or one held out.
     effective : independent samples.
+    learned : what has no name, as a curve; its term is among the named ones.
     """
 
     balance: str
@@ -103,6 +108,7 @@ class Model:
     after: tuple[np.ndarray, ...]
     shown: tuple[Table, ...]
     effective: float
+    learned: LearnedTerm | None = None
 
     @property
     def size(self) -> float:
@@ -147,7 +153,10 @@ class Model:
             term, named=term.named and term.candidate.effect == LOAD) for term in self.terms))
 
     def plain(self) -> "Model":
-        """Return the model without an answer: the config's own."""
+        """Return the model without an answer: the config's own, and what was learned."""
+        if self.learned is not None:
+            return replace(self, terms=tuple(replace(
+                term, named=term.candidate.name == LEARNED) for term in self.terms))
         return replace(self, terms=tuple(replace(term, named=False) for term in self.terms),
                        after=self.before)
 
@@ -165,20 +174,46 @@ def of_recordings(courses: Sequence[Course], rig: Rig, scale: Scale, balance: st
     tables = tables_of(courses, rig, balance, (*candidates_of(balance, scale, rig, *how), *more),
                        policy)
     whole = pooled_table(tables)
-    found = alone(whole, policy)
-    names = [name.term for name in found.names]
+    model = _of_table(whole, tables, rig, policy)
+    if model.error <= max(policy.worse, policy.clean * model.floor / model.size):
+        return model
+    own = {term.candidate.effect for term in model.terms}
+    curve = learned_curve(courses, whole, rig, {}, {
+        one.name: np.inf for one in whole.candidates
+        if one.always or one.name in FIRST_VIEW or (one.effect in own and model[one.name])},
+        np.sqrt(policy.near) * min(model.error, model.nominal_error) * whole.size, policy)
+    if curve is None:
+        return model
+    more = _of_table(whole, tables, rig, policy, curve)
+    return more if more.error <= np.sqrt(policy.near) * model.error else model
+
+
+def _of_table(whole: Table, tables: Sequence[Table], rig: Rig, policy: Policy,
+              curve: LearnedCurve | None = None) -> Model:
+    """Return the model of recordings' tables, which are one ``whole``, beside a learned curve."""
+    balance, left, own = whole.balance, whole, {}
     lengths = np.cumsum([len(table.rows) for table in tables])[:-1]
+    if curve is not None:
+        left, own = replace(whole, rows=np.column_stack(
+            [whole.rows[:, 0] - curve.column, whole.rows[:, 1:]])), {LEARNED: 1.0}
+        tables = [with_column(table, replace(curve, column=part)) for table, part in zip(
+            tables, np.split(curve.column, lengths), strict=True)]
+    found = alone(left, policy)
+    names = [name.term for name in found.names]
     bare, held = nominal_of(balance, rig)
     weights = [{name: found.weights.get(f"{name} {i + 1}", found.weights.get(name))
                 for name in (one.name for one in table.candidates)} for i, table in
                enumerate(tables)]
+    terms = relaxed_at_zero(_terms_alone(left, found, len(tables), policy), policy)
+    if curve is not None:
+        terms += (Term(tables[0].candidates[-1], 1.0, 0.0, named=True),)
     model = Model(
-        balance, tuple(tables), tuple({k: v for k, v in row.items() if v is not None}
+        balance, tuple(tables), tuple({k: v for k, v in row.items() if v is not None} | own
                                       for row in weights),
-        relaxed_at_zero(_terms_alone(whole, found, len(tables), policy), policy), found.refused,
-        _nominal(whole, balance, rig, policy),
+        terms, found.refused, _nominal(whole, balance, rig, policy),
         tuple(np.split(whole.crosswise(bare, held), lengths)),
-        tuple(np.split(whole.crosswise(names), lengths)), tuple(tables), found.effective_samples)
+        tuple(np.split(left.crosswise(names), lengths)), tuple(tables), found.effective_samples,
+        None if curve is None else curve.term)
     return _unseen_gate(model, policy)
 
 

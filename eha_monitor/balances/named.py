@@ -7,6 +7,7 @@ import numpy as np
 
 from eha_monitor import ties
 from eha_monitor.balances.candidates import DRY, SIDES
+from eha_monitor.balances.learned_curve import NAME as LEARNED
 from eha_monitor.balances.least_squares import rms
 from eha_monitor.balances.machine import OTHER
 from eha_monitor.balances.model import Model, Term
@@ -46,7 +47,7 @@ def effects_of(model: Model, rig: Rig, policy: Policy, held: Effects) -> list[Na
     held : effects of the config, which the terms add to.
     """
     named = [t for t in model.terms if (t.named or _leaks_more(t, policy))
-             and t.candidate.name not in LINEAR
+             and t.candidate.name not in (*LINEAR, LEARNED)
              and not weightless(t, rig, policy) and not within_tolerance(t, rig, policy)
              and (t.candidate.family == DRY or policy.sure(*t.presence))]
     groups: dict[str, list[Term]] = {}

@@ -54,6 +54,11 @@ class Table:
     falls: np.ndarray
     turning: np.ndarray
 
+    @property
+    def balance(self) -> str:
+        """Which balance it is."""
+        return self.candidates[0].balance
+
     @cached_property
     def places(self) -> dict[str, int]:
         """Column of each candidate by name."""
@@ -115,7 +120,7 @@ class Table:
         limit takes away from what is asked for, which may be many times what it gives.
         """
         left = [self.rows[self.good, 0] + self.known[self.good]]
-        if self.candidates[0].balance == "drive":
+        if self.balance == "drive":
             left.append(self.known[self.good])
         whole = max(np.quantile(np.abs(one), TOP) for one in left)
         mean = self.rows[self.good].mean(axis=0) * [0, *(

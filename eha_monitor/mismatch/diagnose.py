@@ -78,7 +78,7 @@ from eha_monitor.mismatch.show.model import (
 )
 from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.physics.parameters import place_of
-from eha_monitor.quantity import number, quantity, share, with_uncertainty
+from eha_monitor.quantity import number, quantity, with_uncertainty
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings.hypothesis import Hypothesis
 from eha_monitor.settings.monitor import Settings
@@ -178,7 +178,9 @@ def _diagnosed(recordings: list[Recording], settings: Settings, held_out: Record
     # Where a filter leaves something, its names make up for laws that it does not have.
     led_astray = found.verdict == "mismatch" and not (naming and follows(naming))
     judges = recordings if held_out is None else [held_out]
-    if far and (led_astray or explains_more(first, found, judges, experiment.settings)):
+    curve = hypothesis is None and first is not None and bool(first.learned)
+    if (far or curve) and (led_astray or explains_more(
+            first, found, judges, experiment.settings)):
         return Answered(by_first(first, started), naming, False)
     apart = () if hypothesis is not None or first is None else contradicted(first, found)
     if apart and not defends(found, first, judges, experiment.settings):
@@ -187,7 +189,7 @@ def _diagnosed(recordings: list[Recording], settings: Settings, held_out: Record
     # Innovations of another form than the config's laws are no mismatch of this machine, and no
     # balance is theirs.
     unanswered = found.verdict == "unexplained" and not found.learned
-    if unanswered and (far or (hypothesis is None and first is not None and (
+    if unanswered and (far or curve or (hypothesis is None and first is not None and (
             first.verdict != "mismatch" and not force_is_closed(first) and named
             and lack_of(named[0], named[1].after) > experiment.policy.lacking))):
         return Answered(by_first(first, started), naming, False)
@@ -485,8 +487,7 @@ def beside_own(experiment: Experiment, naming: Naming, told: ValidatedTerm) -> N
 def learned_words(term: LearnedTerm) -> str:
     """Return the message of a verdict with a learned term."""
     return (f"the {term.balance} balance lacks an effect that is not in the catalogue: "
-            f"{term.statement}. It removes {share(min(term.removed, 0.999))} of the squared "
-            "error on unseen data")
+            f"{term.sentence}")
 
 
 def named_effect(experiment: Experiment, naming: Naming, name: str, tracks: list[np.ndarray]

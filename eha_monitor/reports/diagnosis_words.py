@@ -46,6 +46,7 @@ AGAINST_HEALTHY = {
     "mismatch": ("warn", "Change identified"),
     "unexplained": ("error", "Changed, unexplained"),
 }
+CHANGED_LEARNED = ("warn", "Changed, and learned from the recording")
 CHANGED_WITHIN = ("warn", "Changed while it was recorded")
 PARTLY = ("unknown", "No change in what can be compared")
 WRONG_NUMBERS = ("warn", "Wrong rig data explain the mismatch; no effect is missing")
@@ -70,6 +71,8 @@ def head_of(found: Diagnosis) -> tuple[str, str]:
         return CHANGED_WITHIN
     if found.references and found.verdict == "consistent" and found.blind:
         return PARTLY
+    if found.references and found.learned and found.verdict == "unexplained":
+        return CHANGED_LEARNED
     if found.references and found.verdict in AGAINST_HEALTHY:
         return AGAINST_HEALTHY[found.verdict]
     if found.pieces or (found.change_points and found.verdict == "consistent"):
@@ -136,6 +139,9 @@ def next_steps(found: Diagnosis, bags: str) -> tuple[str, ...]:
         steps += [step for change in found.changes if (step := _look_for(change))]
         steps.append("find out why it has changed; after a repair `eha-monitor diagnose "
                      f"{bags} --reference ...` says whether it is as before")
+    for term in found.learned if found.references else ():
+        where = " at that place of the stroke" if term.of[0] == "x" else ""
+        steps.append(f"look at {LOOK_AT[term.balance]}{where}")
     completed = found.verdict == "mismatch" or found.learned
     if completed and not found.references:  # what has changed is the machine's, not the config's
         known = [SYMBOLS.get(name, name) for name, value in found.after.items()

@@ -254,8 +254,9 @@ def formulas_of(experiment: Experiment, learned: Learned) -> list[Formula]:
     """Return the formulas that fit best, best first; the first is given if no table leads far."""
     places = learned.knots
     shapes = RIPPLES if learned.table.form.periodic else SHAPES
-    fits = sorted((fit for shape in shapes if (fit := on_curve(shape, places, learned))),
-                  key=lambda found: found[0])
+    y, covariance = learned.values / learned.divisor, learned.covariance() / learned.divisor**2
+    fits = sorted((fit for shape in shapes if (fit := on_curve(
+        shape, places, y, covariance, learned.table.form.of))), key=lambda found: found[0])
     # What the curve itself is far from, the recording is too: only rivals are fitted to it.
     made = spread(lambda found: refitted(experiment, learned, *found[1:]), [
         one for one in fits[:REFITTED] if one[0] < fits[0][0] + CLOSE])
@@ -293,44 +294,56 @@ def unit_of(form: Form, kind: str) -> str:
             "y/u3": f"{y}/({u})³", "y/ru": f"{y}/√({u})", "rad": "rad", "1": ""}[kind]
 
 
-def on_curve(shape: Shape, places: np.ndarray, learned: Learned
+def on_curve(shape: Shape, places: np.ndarray, y: np.ndarray, covariance: np.ndarray, of: str
              ) -> tuple[float, Shape, dict[str, float]] | None:
     """Fit a shape to a learned curve, by the curve's own covariance.
+
+    Parameters
+    ----------
+    places, y, covariance : (n,), (n,), (n, n) of the curve ``of`` a signal, SI.
 
     Returns
     -------
     cost : half the chi-squared and Schwarz's price of the parameters (1978).
-    shape, values : SI, of the curve divided by the scale of its factor.
+    shape, values : SI.
+    """
+    floor = EXACT * float(np.sqrt(np.mean(y**2)))
+    root = cholesky(covariance + floor**2 * np.eye(len(y)), lower=True)
+    text = in_signal(shape.text, of)
+
+    def left(values):
+        made = curve_of(text, values, of, places)
+        return solve_triangular(root, np.nan_to_num(made - y, nan=1e6), lower=True)
+
+    fits = [fitted_shape(shape, start, places, y, left) for start in shape.starts(places, y)]
+    if not fits:
+        return None
+    cost, values = min(fits, key=lambda fit: fit[0])
+    return cost + 0.5 * len(values) * np.log(len(y)), shape, values
+
+
+def fitted_shape(shape: Shape, start: Start, places: np.ndarray, y: np.ndarray,
+                 left: Callable[[dict[str, float]], np.ndarray]) -> tuple[float, dict[str, float]]:
+    """Return half the sum of squares that a shape leaves at best, and its parameters, SI.
+
+    Parameters
+    ----------
+    start : its parameters; ``places``, ``y`` (n,) a curve that is as wide and as high.
+    left : parameters -> (m,) residuals.
     """
     from scipy.optimize import least_squares  # half a second, for what is seldom learned
 
-    divisor = learned.divisor
-    y = learned.values / divisor
-    floor = EXACT * float(np.sqrt(np.mean(y**2)))
-    covariance = learned.covariance() / divisor**2 + floor**2 * np.eye(len(y))
-    root = cholesky(covariance, lower=True)
-    text = in_signal(shape.text, learned.table.form.of)
     keys = list(shape.units)
-    best = None
-    for start in shape.starts(places, y):
-        size = np.array([max(abs(start[key]), 1e-3 * scale_of(shape.units[key], places, y))
-                         for key in keys])
-        log = np.array([key in shape.positive for key in keys])
+    size = np.array([max(abs(start[key]), 1e-3 * scale_of(shape.units[key], places, y))
+                     for key in keys])
 
-        def values_at(z, start=start, size=size, log=log):
-            return {key: float(start[key] * np.exp(np.clip(z[i], -8.0, 8.0))) if log[i]
-                    else float(start[key] + size[i] * z[i]) for i, key in enumerate(keys)}
+    def values_at(z):
+        return {key: float(start[key] * np.exp(np.clip(z[i], -8.0, 8.0)))
+                if key in shape.positive else float(start[key] + size[i] * z[i])
+                for i, key in enumerate(keys)}
 
-        def left(z, values_at=values_at):
-            made = curve_of(text, values_at(z), learned.table.form.of, places)
-            return solve_triangular(root, np.nan_to_num(made - y, nan=1e6), lower=True)
-
-        found = least_squares(left, np.zeros(len(keys)), max_nfev=60)
-        if best is None or found.cost < best[0]:
-            best = (found.cost, values_at(found.x))
-    if best is None:
-        return None
-    return best[0] + 0.5 * len(keys) * np.log(len(y)), shape, best[1]
+    found = least_squares(lambda z: left(values_at(z)), np.zeros(len(keys)), max_nfev=60)
+    return found.cost, values_at(found.x)
 
 
 def scale_of(kind: str, u: np.ndarray, y: np.ndarray) -> float:
@@ -344,12 +357,7 @@ def refitted(experiment: Experiment, learned: Learned, shape: Shape, values: dic
              ) -> Formula:
     """Return a formula fitted to the recording, in the table's place, beside all else."""
     form, which = learned.table.form, learned.which
-    factor = FACTORS[form.times][0]
-    text = in_signal(shape.text, form.of)
-    text = f"({text}){factor}" if factor and ("+" in text or "-" in text) else text + factor
-    values = dict(values)
-    if form.times == "direction":
-        values["v_e"] = learned.scale
+    text, values = as_expression(shape, form, values, learned.scale)
     expression = parsed(text)
     slot, own = slot_of(which), ALL_NAMES[which]
     theta, active = learned.fit.theta.copy(), learned.fit.active.copy()
@@ -374,6 +382,19 @@ def refitted(experiment: Experiment, learned: Learned, shape: Shape, values: dic
              for key, place in expression.parameters.items()}
     return Formula(shape.name, text, found, shown_as(shape, form, found), made,
                    score_of(experiment, made) + experiment.policy.unnamed)
+
+
+def as_expression(shape: Shape, form: Form, values: dict[str, float], scale: float
+                  ) -> tuple[str, dict[str, float]]:
+    """Return a shape times its form's factor as an expression of a config, and its parameters.
+
+    Parameters
+    ----------
+    scale : speed over which a term that follows the direction turns round, m/s.
+    """
+    factor, text = FACTORS[form.times][0], in_signal(shape.text, form.of)
+    text = f"({text}){factor}" if factor and ("+" in text or "-" in text) else text + factor
+    return text, dict(values) | ({"v_e": scale} if form.times == "direction" else {})
 
 
 def shown_as(shape: Shape, form: Form, values: dict[str, float]) -> str:

@@ -21,6 +21,7 @@ from eha_monitor.mismatch.learn.formula import (
     unit_of,
 )
 from eha_monitor.mismatch.learn.learned import (
+    Form,
     Learned,
     alone,
     bases_of,
@@ -193,6 +194,24 @@ def measured_at(learned: Learned, missing: Missing, factors: tuple[np.ndarray, .
     return tuple(np.array(rows).T) if rows else (np.zeros(0),) * 3
 
 
+def signals_of(form: Form) -> tuple[str, ...]:
+    """Return the signals that a form is a function of, its curve's first."""
+    factor = {"direction": "v", "none": form.of}.get(form.times, form.times)
+    return tuple(dict.fromkeys((form.of, factor)))
+
+
+def statement_of(form: Form, formula: str, size: str) -> str:
+    """Return what a learned term is, in words.
+
+    Parameters
+    ----------
+    formula : "" where none says as much as its curve; ``size`` at its largest.
+    """
+    law = f", {formula}" if formula else (
+        f" that is a function of {SHOWN.get(form.of, form.of)}{ACTS[form.times]}")
+    return f"an unknown {WHAT[form.adds]}{law}, {size} at its largest"
+
+
 def term_of(learned: Learned, formulas: list[Formula], honest: bool, share: float,
             missing: Missing, factors: tuple[np.ndarray, ...]) -> LearnedTerm:
     """Return the record of a learned term."""
@@ -206,18 +225,12 @@ def term_of(learned: Learned, formulas: list[Formula], honest: bool, share: floa
         shape = next(shape for shape in (*SHAPES, *RIPPLES) if shape.name == best.shape)
         drawn = curve_of(in_signal(shape.text, form.of), best.values, form.of, x)
     at, measured, spread = measured_at(learned, missing, factors)
-    signals = (form.of, *({"direction": ("v",)}.get(form.times) or (
-        () if form.times == "none" else (form.times,))))
     size = size_of(missing)
-    of = SHOWN.get(form.of, form.of)
     formula = best.shown if honest else ""
-    statement = (f"an unknown {WHAT[form.adds]}, {formula}, {size} at its largest" if formula else
-                 f"an unknown {WHAT[form.adds]} that is a function of {of}{ACTS[form.times]}, "
-                 f"{size} at its largest")
     reference = best.evidence if honest else learned.evidence
     rivals = formulas[1:] if honest else formulas
     return LearnedTerm(
-        learned.balance, form.adds, tuple(dict.fromkeys(signals)), statement, size,
+        learned.balance, form.adds, signals_of(form), statement_of(form, formula, size), size,
         unit_of(form, "y"), OF_UNITS[form.of], x, curve / divisor,
         band / divisor, at, measured / divisor, spread / divisor, formula,
         best.shape if honest else "",
