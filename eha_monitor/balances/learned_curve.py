@@ -94,6 +94,11 @@ class _Balance:
     free: np.ndarray
     ridge: np.ndarray
 
+    def without(self, at: int, made: np.ndarray) -> "_Balance":
+        """Return the balance with a free column held, of which all is ``made``, (m,)."""
+        return _Balance(self.table, (*self.names[:at], *self.names[at + 1 :]), self.y - made,
+                        np.delete(self.free, at, axis=1), np.delete(self.ridge, at))
+
     def fits(self, curve: np.ndarray, penalty: np.ndarray, smooth: Sequence[float]) -> list[_Fit]:
         """Return the fit with columns (m, n) of a curve, for each weight of its penalty."""
         table, first = self.table, self.free.shape[1]
@@ -233,17 +238,18 @@ def _learned(curve: _Curve, courses: Sequence[Course], balance: _Balance, rig: R
     covariance = noise * inverse_of(
         balance.inner(gram, curve.penalty, curve.fit.smooth))[first:, first:]
     values, places = w[first:], knots.knots(KNOTS)
+    beside = balance
     if PARALLEL[form.times] in balance.names:
         # Only the sum of that law's number and a level of the curve is known: the law's it is.
-        level = float(np.median(values))
-        values = values - level
-        curve = replace(curve, fit=replace(
-            curve.fit, made=curve.fit.made - level * curve.columns.sum(axis=1)))
+        at, level = balance.names.index(PARALLEL[form.times]), float(np.median(values))
+        values, made = values - level, level * curve.columns.sum(axis=1)
+        curve = replace(curve, fit=replace(curve.fit, made=curve.fit.made - made))
+        beside = balance.without(at, w[at] * balance.free[:, at] + made)
     divisor = knots.scale if form.times == "dp" else 1.0
     fits = sorted((fit for shape in formulas.SHAPES if (fit := formulas.on_curve(
         shape, places, values / divisor, covariance / divisor**2, form.of))),
         key=lambda fit: fit[0])
-    made = sorted((_in_recording(fit, curve, values / divisor, courses, balance, rig)
+    made = sorted((_in_recording(fit, curve, values / divisor, courses, beside, rig)
                    for fit in fits[:TRIED]), key=lambda one: one.fit.error)
     made = [one for one in made if one.lies_within(knots)]
     honest = bool(made and made[0].fit.error <= curve.fit.error * np.exp(policy.gain))
