@@ -2,24 +2,15 @@
 
 import numpy as np
 import pytest
+from sprung_rig import DRY, SETTINGS, B, one_wave, recorded
 
 from eha_monitor.balances.answer import answered
 from eha_monitor.balances.candidates import own_column
 from eha_monitor.balances.changed import against
 from eha_monitor.balances.course import courses_of
 from eha_monitor.balances.machine import healthy_machine_of
-from eha_monitor.recordings.recording import Recording
-from eha_monitor.settings import settings_from_tree
 
-AREA, DISPLACEMENT, B, DRY, SOFT, LEAK = 5e-4, 1.6e-7, 800.0, 120.0, 1e-13, 3e-13  # SI
 HEIGHT, PLACE, HALF = 90.0, 5e-3, 4e-3  # of a rough spot
-SETTINGS = settings_from_tree({"rig": {
-    "area_1": AREA, "area_2": AREA, "pump_displacement": DISPLACEMENT, "volume_1": 7e-5,
-    "volume_2": 7e-5, "leakage": 2.0 * LEAK, "position_gain": None, "mass": 1.0}}, "rig.yaml")
-
-
-def nothing(t, x, v):
-    return np.zeros(len(t))
 
 
 def rough(t, x, v):
@@ -37,25 +28,6 @@ def after_a_turn(t, x, v):
 def leaky(t, x, v, dp):
     """Return the leak of a worn stretch, m³/s."""
     return 4e-12 * np.exp(-(((x - PLACE) / HALF) ** 2)) * dp
-
-
-def recorded(seed, force=nothing, leak=None, waves=True):
-    """Return a motion against a spring of 60 kN/m, as four sensors of little noise read it."""
-    rng, dt = np.random.default_rng(seed), 0.002
-    t = dt * np.arange(15_000)
-    x = 0.02 * np.sin(2.0 * np.pi * 0.25 * t)
-    if waves:
-        x += 0.006 * np.sin(2.0 * np.pi * 0.7 * t + seed)
-    v = np.gradient(x, dt)
-    whole = np.gradient(v, dt) + B * v + 6e4 * x + DRY * np.tanh(v / 1e-3) + force(t, x, v)
-    dp = whole / AREA
-    flow = AREA * v + 0.5 * SOFT * np.gradient(dp, dt) + LEAK * dp
-    if leak is not None:
-        flow += leak(t, x, v, dp)
-    channels = {"x": x + 1e-7 * rng.standard_normal(len(t)), "omega": flow / DISPLACEMENT,
-                "p1": 2e6 + 0.5 * dp + 200.0 * rng.standard_normal(len(t)),
-                "p2": 2e6 - 0.5 * dp + 200.0 * rng.standard_normal(len(t))}
-    return Recording(dt, channels, source=f"run_{seed}")
 
 
 @pytest.fixture(scope="module")
@@ -104,7 +76,7 @@ def test_a_leak_of_a_worn_stretch_is_a_curve_over_the_place(machine):
 
 def test_what_follows_each_reversal_is_no_function_of_the_place():
     """On a motion that repeats, place and direction say when it is: half of it would fit."""
-    found = answered([recorded(14, after_a_turn, waves=False)], SETTINGS)
+    found = answered([recorded(14, after_a_turn, motion=one_wave)], SETTINGS)
     assert not found.learned
 
 

@@ -11,6 +11,7 @@ the config: its mass, leakage, effects and drive are subtracted before (:func:`c
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -19,6 +20,7 @@ from eha_monitor.balances.course import (
     COMMANDED,
     STANDING,
     Course,
+    last_sign,
     slope,
 )
 from eha_monitor.compiled import njit
@@ -432,6 +434,26 @@ def _pressed(course: Course, rig: Rig) -> np.ndarray:
     return pressure_rate(course) if oil is None else course.of_filled(*oil) / rig.volume_1
 
 
+def side_of_play(course: Course, sharp: bool) -> np.ndarray:
+    """Return the side of its play on which the position's sensor lies, (m,) -1..1.
+
+    The piston goes over to the other one while the sensor stands.
+
+    Parameters
+    ----------
+    sharp : at once, as the sensor sets out; else by the cube of the time that it has stood, of a
+        piston that turns slowly, and after a rest within the last period of the band.
+    """
+    level = STANDING * course.speed
+    side, moves = last_sign(course.v, level), np.flatnonzero(np.abs(course.v) > level)
+    for last, first in pairwise(moves) if not sharp else ():
+        if side[last] != side[first]:
+            start = max(last, first - round(1.0 / (course.band * course.dt)))
+            gone = np.linspace(0.0, 1.0, first - start + 1) ** 3
+            side[start : first + 1] = side[last] * (1.0 - 2.0 * gone)
+    return side
+
+
 def _air(course: Course, rig: Rig) -> np.ndarray | None:
     """Return the flow into air of one, by volume at atmospheric pressure: alpha V C(p) p'."""
     oil = oil_pressed(course, rig)
@@ -503,7 +525,12 @@ def flow_candidates(scale: Scale, rig: Rig) -> tuple[Candidate, ...]:
             symbol="omega_0"),
         one("T_q", "flow_lag", "s" if pump else "m³", "flow that lags the speed", 1,
             lambda c, r: -(pump or 1.0) * c.of_pump(slope(c.omega, c.dt)), power=2.0,
-            twins=("position_delay", "backlash")),
+            twins=("position_delay",)),
+        # Where the motion turns the piston moves by b before its sensor does.
+        *(one(name, "backlash", "m", "play between piston and position sensor", 1,
+              lambda c, r, sharp=sharp: -0.5 * r.area_1 * slope(side_of_play(c, sharp), c.dt),
+              symbol="b", shape=(("in_loop", 1.0),), variant=True)
+          for name, sharp in (("b", True), ("b_2", False))),
     )
 
 

@@ -206,10 +206,7 @@ class Course:
         Where no channel says what is demanded, that of the last motion; 0 before the first.
         """
         signal = self.v if self.demand is None else self.demand
-        level = self.quiet * float(np.quantile(np.abs(signal), 0.98))
-        marks = np.where(signal > level, 1.0, np.where(signal < -level, -1.0, 0.0))
-        places = np.where(marks != 0.0, np.arange(len(marks)), 0)
-        return marks[np.maximum.accumulate(places)]
+        return last_sign(signal, self.quiet * float(np.quantile(np.abs(signal), 0.98)))
 
     @cached_property
     def pumped_side(self) -> np.ndarray:
@@ -321,6 +318,13 @@ class Course:
         soft = (rig.volume_1 or 0.0) / rig.bulk_modulus
         return float(np.sqrt((rig.area_1 * n["x"] * slope) ** 2 + (soft * n["p"] * slope) ** 2
                              + ((rig.pump_displacement or 0.0) * n["omega"] * level) ** 2))
+
+
+def last_sign(signal: np.ndarray, level: float) -> np.ndarray:
+    """Return the sign of a signal's (m,) last value beyond a level; 0 before the first."""
+    marks = np.where(signal > level, 1.0, np.where(signal < -level, -1.0, 0.0))
+    places = np.where(marks != 0.0, np.arange(len(marks)), 0)
+    return marks[np.maximum.accumulate(places)]
 
 
 def oil_of(courses: Sequence[Course]) -> str:

@@ -281,12 +281,14 @@ def judge(machine: Machine, courses: Sequence[Course], settings: Settings) -> Ju
                                    np.array(list(held.values())))
         own |= {name: (float(v), float(d)) for name, v, d in zip(free, value, stddev,
                                                                  strict=True)}
-        beside = _Beside(one, table, held, free, loose, machine.policy, (
-            rig.volume_1 or 0.0) / rig.bulk_modulus).judged(machine)
+        left = _Beside(one, table, held, free, loose, machine.policy, (
+            rig.volume_1 or 0.0) / rig.bulk_modulus)
+        beside = left.judged(machine)
         names = {*one.terms, *(moved.candidate.name for moved in beside.changed)}
-        left = left_alone(table, (c for name in sorted(names) for c in columns_of(name, table)))
-        beside = replace(beside, each=tuple(tables), alone=left / max(
-            *one.alone, table.floor) if one.alone else 0.0)
+        beside = replace(beside, each=tuple(tables), alone=left.times(names))
+        if beside.foreign and not beside.changed and (come := left.newcomer(names)) is not None:
+            beside = replace(beside.with_change(come), alone=left.times(
+                {*names, come.candidate.name}), complete=True, small=None)
         found.append(beside.refused() if beside.hollow else beside)
         values |= found[-1].values(machine.policy)
     return Judged(", ".join(one.source for one in courses), tuple(found), own, values)
@@ -568,6 +570,45 @@ class _Beside:
         most = max(float(np.abs(table.rows[table.good, table.places[own]]).max())
                    for own in columns_of(name, table))
         return most * abs(moved.here - moved.machine) >= 0.5 * abs(load.here - load.machine)
+
+    def columns(self, names: Iterable[str]) -> list[str]:
+        """Return the columns of terms, in the order of their names."""
+        return [column for name in sorted(names) for column in columns_of(name, self.table)]
+
+    def times(self, names: Iterable[str]) -> float:
+        """Return what terms leave, fitted anew, over the most of one of the machine's own."""
+        return left_alone(self.table, self.columns(names)) / max(
+            *self.one.alone, self.table.floor) if self.one.alone else 0.0
+
+    def newcomer(self, names: Iterable[str]) -> Moved | None:
+        """Return the one term beside which the machine's, fitted anew, describe a recording.
+
+        What healthy recordings leave with the machine's numbers may be more than all of it: the
+        error says nothing of it then, and what a fit of all terms leaves does.
+        """
+        table, scatter, policy = self.table, self.one.scatter, self.policy
+        tried = [name for name in scatter.names if name in table.places and name not in names]
+        if not tried:
+            return None
+        left = np.array([self.times({*names, name}) for name in tried])
+        at = ties.largest(-np.log(np.maximum(left, 1e-12)), policy.gain)
+        if left[at] > MANY:
+            return None
+        name, place = tried[at], scatter.names.index(tried[at])
+        columns = [name, *self.columns(names)]
+        value, chance = covariance_by_chance(table, columns)
+        here, mean = float(value[0]), float(scatter.mean[place])
+        # Areas and lateness are the same in all recordings of a machine.
+        apart = float(np.sqrt(chance[0, 0] + scatter.spread[place] ** 2))
+        t, limit = (here - mean) / apart, float(scatter.limit[place])
+        if not abs(t) > max(limit, policy.owed) or self.less_than_nothing(name, here) > 0.0:
+            return None
+        rivals = tuple(dict.fromkeys([*self.of[name].twins, *(
+            self.of[other].effect for other, rest in zip(tried, left, strict=True)
+            if other != name and rest <= left[at] * np.exp(policy.alone)
+            and self.of[other].effect != self.of[name].effect)]))
+        return Moved(self.of[name], here, apart, mean, float(scatter.spread[place]), float(t),
+                     limit, rivals=rivals, apart=apart)
 
     def judged(self, machine: Machine) -> JudgedBalance:
         """Return what has changed in the balance, its constant load last, beside all else."""

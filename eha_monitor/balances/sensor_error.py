@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from eha_monitor.balances.candidates import stop
 from eha_monitor.balances.course import Course, courses_of
 from eha_monitor.balances.judge import Judged, Moved, within_stroke
 from eha_monitor.balances.machine import Machine
@@ -27,6 +28,7 @@ from eha_monitor.words import effect_words, listed
 
 TWICE = 2.0  # times what its symptom says, or half of it: so far an error is looked for
 NEAR, STEPS = 1e-2, 4  # share of that to which it is found, in at most so many steps
+TURNED = 0.05  # of a play: when its sensor has moved so far the piston is through it
 FEWER = 2  # things that differ must a sensor's error, itself one, take away
 Corrected = Callable[[np.ndarray, float, float], np.ndarray]
 
@@ -85,7 +87,11 @@ LATE = Fault("position_delay", "T", "s", "x", {
     "drive_gain": lambda rig, mean: -rig.area_1 / (
         rig.position_gain * (rig.pump_displacement or np.nan))},
     _earlier, ("{} late", "{} early"), least=0.0)
-FAULTS = (*_of_pressure(1, 1.0), *_of_pressure(2, -1.0), LATE)
+# Behind a play the position lags by half of it, against friction, spring and mass alike.
+PLAY = Fault("backlash", "b", "m", "x", {"backlash": lambda rig, mean: 1.0},
+             lambda x, b, dt: x + 0.5 * b * stop(x, TURNED * b) if b > 0.0 else x,
+             ("with a play of {}", "with a play of {}"), least=0.0)
+FAULTS = (*_of_pressure(1, 1.0), *_of_pressure(2, -1.0), LATE, PLAY)
 
 
 @dataclass(frozen=True)
@@ -188,7 +194,7 @@ def _corrected(fault: Fault, machine: Machine, recordings: Sequence[Recording],
     """Return recordings with a channel corrected for what it would explain; None if nothing."""
     channel = fault.channel
     changed = {one.candidate.effect: one for one in given.judged.changed
-               if fault.effect in one.rivals}
+               if fault.effect in (one.candidate.effect, *one.rivals)}
     name = next((name for name in fault.symptoms if name in changed), None)
     if name is None or not all(one.has(channel) for one in recordings):
         return None
@@ -234,12 +240,14 @@ def _change(one: Reading, others: Sequence[Reading], given: Reading, machine: Ma
     sensors = ", or ".join(f"the sensor of {channel} reads {' or '.join(words)}"
                            for channel, words in reads.items())
     by = with_uncertainty(abs(moved.here - moved.machine), moved.apart, moved.candidate.unit)
+    shown = "" if moved.candidate.effect == one.fault.effect else (
+        f"a {effect_words(moved.candidate.effect)} of {by}, and ")
     gone = [effect_words(what) if what else f"unexplained rest of the {balance}"
             for balance, what in sorted(given.differs - one.differs)
             if what != moved.candidate.effect]
     return Change(
         one.fault.effect, one.fault.symbol, "sensor", Value(0.0, one.error[1], one.fault.unit),
         Value(*one.error, one.fault.unit), one.fault.unit,
-        f"{sensors}: that explains a {effect_words(moved.candidate.effect)} of {by}, "
-        f"and the {listed(gone)} that {'differs' if len(gone) == 1 else 'differ'} from "
-        f"{machine.runs}", tuple(other.fault.effect for other in others))
+        f"{sensors}: that explains {shown}the {listed(gone)} that "
+        f"{'differs' if len(gone) == 1 else 'differ'} from {machine.runs}",
+        tuple(other.fault.effect for other in others))
