@@ -31,4 +31,4 @@ def test_play_that_has_come_is_called_so_beside_a_machine(machine, width):
 def test_where_the_motion_turns_slowly_it_is_the_nearest(machine):
     """How the piston goes through the play is then most of what the flow shows of it."""
     found = against(machine, [recorded(23, play=1e-4, noise=10.0)], SETTINGS, ("healthy",))
-    assert "backlash" in found.message and found.verdict in ("mismatch", "unexplained")
+    assert "play" in found.message and found.verdict in ("mismatch", "unexplained")

@@ -494,7 +494,7 @@ def flow_candidates(scale: Scale, rig: Rig) -> tuple[Candidate, ...]:
             family="compliance", symbol="alpha", shape=(("n", AIR_EXPONENT),), power=1.0,
             limit=0.5, upon="compliance"),
         one("C_x", "position_dependent_volume", "m²/Pa", "compliance over the stroke", 0,
-            _over_stroke, family="compliance", odd=False, power=1.0),
+            _over_stroke, family="compliance", odd=False, power=1.0, upon="compliance"),
         # A leakage that the config gives is known to a factor: that is free in every model.
         one("L", "cross_port_leakage", "m³/(s·Pa)", "leakage beyond the config's",
             1, crossing(lambda dp: dp), always=rig.leakage > 0.0,
@@ -526,10 +526,11 @@ def flow_candidates(scale: Scale, rig: Rig) -> tuple[Candidate, ...]:
         one("T_q", "flow_lag", "s" if pump else "m³", "flow that lags the speed", 1,
             lambda c, r: -(pump or 1.0) * c.of_pump(slope(c.omega, c.dt)), power=2.0,
             twins=("position_delay",)),
-        # Where the motion turns the piston moves by b before its sensor does.
+        # Where the motion turns the piston moves by b before its sensor does.  Friction that turns
+        # presses the oil then: without its compliance that is a play.
         *(one(name, "backlash", "m", "play between piston and position sensor", 1,
               lambda c, r, sharp=sharp: -0.5 * r.area_1 * slope(side_of_play(c, sharp), c.dt),
-              symbol="b", shape=(("in_loop", 1.0),), variant=True)
+              symbol="b", shape=(("in_loop", 1.0),), variant=True, upon="compliance")
           for name, sharp in (("b", True), ("b_2", False))),
     )
 
@@ -554,6 +555,10 @@ def drive_candidates(scale: Scale, rig: Rig) -> tuple[Candidate, ...]:
             configured=1.0,  # it is a share of the config's
             twins=("command_delay", "position_delay") if rig.position_gain else ()),
     ]
+    if rig.position_gain:  # the command is made of positions, and may hold their rate as well
+        found.append(one(
+            "k_v", "feed_forward", "rad/m", "feed-forward of the speed beside the gain", 0,
+            lambda c, r: c.v, power=1.0, twins=("position_delay",)))
     for i, top in enumerate(scale.tops, start=1):
         found.append(one(
             f"s_{i}", "drive_saturation", "1", f"share held back beyond {top:.3g} rad/s", 1,

@@ -454,8 +454,57 @@ class _Beside:
                 return changes, now, True, largest, _small(moved) if surely else None
             changes.append(moved)
             now = more
-            left, free_oil = (each.moved(i, step) for each in (left, free_oil))
+            # What is next is looked for beside what has changed, whose size it may correct.
+            own = [*self.free, *(moved.candidate.name for moved in changes)]
+            left, free_oil = (amplitudes_of(table, now, own, names, {
+                name: spread for name, spread in spreads.items() if name not in own})
+                for spreads in (self.loose, self.oil))
         return changes, now, True, largest, None
+
+    def together(self, changes: list[Moved], now: dict[str, float]
+                 ) -> tuple[list[Moved], dict[str, float]]:
+        """Return several changes fitted at once, beside the oil: the first was found alone.
+
+        So another shape of it may have taken what is the next one's.  As they were found where
+        all that leaves more on unseen parts, or makes one less than nothing.
+        """
+        found = tuple(moved.candidate.name for moved in changes)
+        if len(found) < 2:
+            return changes, now
+        own = [name for name in self.one.scatter.names if name in self.table.places]
+        sets = [found, *((*found[:i], other, *found[i + 1 :]) for i, name in enumerate(found)
+                         for other in own if other not in found
+                         and self.of[other].quantity == self.of[name].quantity)]
+        fits = {names: self.joint(names) for names in sets}
+        errors = {names: self.error(self.at_best(more, names)) for names, more in fits.items()
+                  if not any(self.less_than_nothing(name, more[name]) for name in names)}
+        least = min(errors.values(), default=np.inf)
+        if least > self.error(self.at_best(now, found)):
+            return changes, now
+        most = max(least, self.table.floor / self.table.size) * np.exp(self.policy.alone)
+        best = max((names for names in errors if errors[names] <= most),
+                   key=lambda names: sum(name in self.held for name in names))
+        scatter, made = self.one.scatter.only(own), []
+        for moved, name in zip(changes, best, strict=True):
+            others = [other for other in best if other != name]
+            left = amplitudes_of(
+                self.table, self.held, [*self.free, *others], own,
+                {other: spread for other, spread in self.oil.items() if other not in best})
+            at = own.index(name)
+            made.append(self.moved(scatter, left, at, scatter.t_of(left)[at], scatter.limit[at],
+                                   moved.removed, moved.rivals))
+        return made, fits[best]
+
+    def joint(self, names: Sequence[str]) -> dict[str, float]:
+        """Return the parameters with some of them fitted at once, beside the oil."""
+        table, oil = self.table, {
+            name: spread for name, spread in self.oil.items() if name not in names}
+        places = [table.places[name] for name in (*names, *self.free, *oil)]
+        gram = table.gram[np.ix_(places, places)]
+        gram += np.diag([*np.zeros(len(places) - len(oil)), *ridge_of(table, oil)])
+        steps = weights_of(gram, table.gram[places] @ table.mixture(table.gram, (), self.held))
+        return self.held | {name: self.held.get(name, 0.0) + float(step)
+                            for name, step in zip(names, steps, strict=False)}
 
     def gone(self, left: Amplitudes, scatter: Scatter, now: dict[str, float],
              taken: set[tuple[str, str]]) -> tuple[np.ndarray, np.ndarray]:
@@ -614,6 +663,7 @@ class _Beside:
         """Return what has changed in the balance, its constant load last, beside all else."""
         one, table, free = self.one, self.table, self.free
         changes, now, complete, largest, small = self.search()
+        changes, now = self.together(changes, now)
         now = self.at_best(now, {moved.candidate.name for moved in changes})
         load, held = _load(machine, one, table, now, free), self.held
         if load is not None and not any(self.holds(moved, load) for moved in changes):

@@ -85,7 +85,8 @@ def _of_pressure(i: int, sign: float) -> tuple[Fault, Fault]:
 LATE = Fault("position_delay", "T", "s", "x", {
     "flow_lag": lambda rig, mean: 1.0 if rig.pump_displacement else np.nan,
     "drive_gain": lambda rig, mean: -rig.area_1 / (
-        rig.position_gain * (rig.pump_displacement or np.nan))},
+        rig.position_gain * (rig.pump_displacement or np.nan)),
+    "feed_forward": lambda rig, mean: -1.0 / rig.position_gain},
     _earlier, ("{} late", "{} early"), least=0.0)
 # Behind a play the position lags by half of it, against friction, spring and mass alike.
 PLAY = Fault("backlash", "b", "m", "x", {"backlash": lambda rig, mean: 1.0},
