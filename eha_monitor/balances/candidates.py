@@ -555,10 +555,13 @@ def drive_candidates(scale: Scale, rig: Rig) -> tuple[Candidate, ...]:
             configured=1.0,  # it is a share of the config's
             twins=("command_delay", "position_delay") if rig.position_gain else ()),
     ]
-    if rig.position_gain:  # the command is made of positions, and may hold their rate as well
+    # The command may hold the setpoint's rate as well.  Of the piston's own rate any pump's speed
+    # is made, whatever drives it.
+    if rig.position_gain:
         found.append(one(
             "k_v", "feed_forward", "rad/m", "feed-forward of the speed beside the gain", 0,
-            lambda c, r: c.v, power=1.0, twins=("position_delay",)))
+            lambda c, r: c.v + slope(c.wanted, c.dt) / r.position_gain, power=1.0,
+            twins=("position_delay",)))
     for i, top in enumerate(scale.tops, start=1):
         found.append(one(
             f"s_{i}", "drive_saturation", "1", f"share held back beyond {top:.3g} rad/s", 1,

@@ -14,7 +14,8 @@ import numpy as np
 
 from eha_monitor.balances.candidates import stop
 from eha_monitor.balances.course import Course, courses_of
-from eha_monitor.balances.judge import Judged, Moved, within_stroke
+from eha_monitor.balances.judge import within_stroke
+from eha_monitor.balances.judged import Judged, Moved
 from eha_monitor.balances.machine import Machine
 from eha_monitor.balances.model import LOAD
 from eha_monitor.balances.source import source_of

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from eha_monitor.balances.course import BOTH, Course
-from eha_monitor.balances.judge import Moved
+from eha_monitor.balances.judged import Moved
 from eha_monitor.balances.machine import Machine
 from eha_monitor.balances.scatter import t_of_next
 from eha_monitor.mismatch.diagnosis import Change, Value

@@ -13,7 +13,8 @@ import numpy as np
 
 from eha_monitor.balances.candidates import FORCE_OF_SENSORS
 from eha_monitor.balances.course import Course
-from eha_monitor.balances.judge import Judged, Moved, judge
+from eha_monitor.balances.judge import judge
+from eha_monitor.balances.judged import Judged, Moved
 from eha_monitor.balances.machine import Machine
 from eha_monitor.balances.scatter import t_of_next
 from eha_monitor.balances.warmth import POWERS, healthy_at, viscosity_of
