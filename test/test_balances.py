@@ -51,7 +51,6 @@ def with_effects(settings, **effects):
 
 # What no column of a balance can be, and why.
 WITHOUT_COLUMN = {
-    "backlash": "it is in the position; a balance has the derivatives",
     "anti_cavitation": "a threshold that a pressure hardly ever passes",
     "relief_valve": "a threshold that a pressure hardly ever passes",
     "line_dynamics": "it rings above the band",

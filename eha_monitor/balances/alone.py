@@ -184,9 +184,14 @@ class _Choice:
                 if effects[of[name].effect] >= policy.stable * policy.halves:
                     shapes.setdefault(of[name].effect, name)
             steady = list(shapes.values()) or members[:1]
-            if founded(steady, of) != steady:  # halves share what is added, not what it adds to
-                steady.insert(0, next(name for name in (*members, *self.allowed) if of[name].bears
-                                      and of[name].kind == family and not of[name].upon))
+            # Halves share what is added, not what it adds to.
+            for name in [name for name in steady if name not in founded([*kept, *steady], of)]:
+                ground = next((other for other in (*members, *self.allowed) if of[other].bears
+                               and of[other].family == of[name].upon and not of[other].upon), None)
+                if ground is None:
+                    steady.remove(name)
+                elif ground not in steady:
+                    steady.insert(0, ground)
             for name in steady:
                 if of[name].effect not in {of[other].effect for other in kept}:
                     kept.append(name)
