@@ -24,9 +24,9 @@ from eha_monitor.balances.alone import alone
 from eha_monitor.balances.answer import answered
 from eha_monitor.balances.baseline import baseline
 from eha_monitor.balances.candidates import Scale, candidates_of
-from eha_monitor.balances.course import course_of
 from eha_monitor.balances.least_squares import rms
 from eha_monitor.balances.machine import Machine, machine_from
+from eha_monitor.balances.measured import course_of
 from eha_monitor.balances.model import of_machine
 from eha_monitor.balances.named import error_of_area
 from eha_monitor.balances.policy import POLICY

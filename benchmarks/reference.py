@@ -15,8 +15,8 @@ import record
 from rich.progress import track
 
 from eha_monitor.balances.changed import against
-from eha_monitor.balances.course import courses_of
 from eha_monitor.balances.machine import healthy_machine_of
+from eha_monitor.balances.measured import courses_of
 from eha_monitor.compiled import load_runtime
 from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.recordings.importing import read_table

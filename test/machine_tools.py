@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from eha_monitor.balances.course import course_of, courses_of
 from eha_monitor.balances.machine import healthy_machine_of, machine_from
+from eha_monitor.balances.measured import course_of, courses_of
 from eha_monitor.balances.policy import POLICY
 from eha_monitor.balances.together import of_one_machine
 from eha_monitor.recordings.recording import Recording

@@ -15,9 +15,10 @@ from eha_monitor.balances.answer import Asked, answered
 from eha_monitor.balances.baseline import baseline
 from eha_monitor.balances.candidates import BALANCES, Scale, candidates_of
 from eha_monitor.balances.changed import against
-from eha_monitor.balances.course import BOTH, IN_TURN, course_of, oil_of
+from eha_monitor.balances.course import BOTH, IN_TURN, oil_of
 from eha_monitor.balances.least_squares import unexcluded
 from eha_monitor.balances.machine import machine_from
+from eha_monitor.balances.measured import course_of
 from eha_monitor.balances.parameters import compressibility
 from eha_monitor.balances.policy import POLICY
 from eha_monitor.balances.scatter import amplitudes_of

@@ -14,8 +14,8 @@ from scipy.ndimage import gaussian_filter1d
 
 from eha_monitor.balances.answer import answered
 from eha_monitor.balances.changed import against
-from eha_monitor.balances.course import course_of
 from eha_monitor.balances.judge import judge
+from eha_monitor.balances.measured import course_of
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings import settings_from_tree
 

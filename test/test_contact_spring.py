@@ -13,7 +13,7 @@ from rig_tools import settings, simulated
 from eha_monitor.balances.answer import answered
 from eha_monitor.balances.changed import against
 from eha_monitor.balances.contact import contacts_of, pressed
-from eha_monitor.balances.course import course_of
+from eha_monitor.balances.measured import course_of
 from eha_monitor.balances.policy import POLICY
 
 MOTION = {"kind": "multisine", "amplitude": 0.02, "frequency": 0.1, "frequency_end": 2.0,

@@ -5,8 +5,8 @@ from sprung_rig import AREA, DISPLACEMENT, SETTINGS, recorded, strokes
 
 from eha_monitor.balances.answer import answered
 from eha_monitor.balances.changed import against
-from eha_monitor.balances.course import courses_of
 from eha_monitor.balances.machine import healthy_machine_of
+from eha_monitor.balances.measured import courses_of
 
 GAIN, FEED = 16000.0, 0.8 * AREA / DISPLACEMENT  # of 3125 rad/m that the piston takes
 KNOWN = SETTINGS.model_copy(update={"rig": SETTINGS.rig.model_copy(update={

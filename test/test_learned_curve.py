@@ -7,8 +7,8 @@ from sprung_rig import DRY, SETTINGS, B, one_wave, recorded
 from eha_monitor.balances.answer import answered
 from eha_monitor.balances.candidates import own_column
 from eha_monitor.balances.changed import against
-from eha_monitor.balances.course import courses_of
 from eha_monitor.balances.machine import healthy_machine_of
+from eha_monitor.balances.measured import courses_of
 
 HEIGHT, PLACE, HALF = 90.0, 5e-3, 4e-3  # of a rough spot
 

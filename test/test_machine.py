@@ -13,11 +13,11 @@ from rig_tools import settings as rig_settings
 from eha_monitor.balances.alone import alone
 from eha_monitor.balances.candidates import Scale, candidates_of, stop, taken_up
 from eha_monitor.balances.changed import against
-from eha_monitor.balances.course import course_of
 from eha_monitor.balances.discrepancy import learned
 from eha_monitor.balances.judge import judge
 from eha_monitor.balances.least_squares import random_effects
 from eha_monitor.balances.machine import load, save
+from eha_monitor.balances.measured import course_of
 from eha_monitor.balances.policy import POLICY
 from eha_monitor.balances.table import tables_of
 from eha_monitor.balances.together import Recordings, pooled, without

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from eha_monitor.balances.baseline import baseline
-from eha_monitor.balances.course import ONE_PUMP, courses_of
+from eha_monitor.balances.course import ONE_PUMP
+from eha_monitor.balances.measured import courses_of
 from eha_monitor.balances.together import of_one_machine
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings import settings_from_tree

@@ -9,7 +9,7 @@ from rig_tools import settings, simulated
 from eha_monitor.balances.answer import answered
 from eha_monitor.balances.candidates import Scale, candidates_of
 from eha_monitor.balances.changed import against
-from eha_monitor.balances.course import course_of
+from eha_monitor.balances.measured import course_of
 from eha_monitor.balances.policy import POLICY
 from eha_monitor.balances.table import tables_of
 

@@ -5,8 +5,8 @@ import pytest
 from sprung_rig import DRY, SETTINGS, STIFFNESS, recorded, strokes
 
 from eha_monitor.balances.changed import against
-from eha_monitor.balances.course import courses_of
 from eha_monitor.balances.machine import healthy_machine_of
+from eha_monitor.balances.measured import courses_of
 
 
 def stiffer_and_drier(t, x, v):

@@ -18,7 +18,7 @@ from eha_monitor.balances.candidates import (
     candidates_of,
 )
 from eha_monitor.balances.contact import contacts_of
-from eha_monitor.balances.course import NO_MOTION, Course, course_of, courses_of
+from eha_monitor.balances.course import NO_MOTION, Course
 from eha_monitor.balances.least_squares import rms
 from eha_monitor.balances.machine import (
     Machine,
@@ -27,6 +27,7 @@ from eha_monitor.balances.machine import (
     pressure_varied,
 )
 from eha_monitor.balances.mean_pressure import leak_or_source
+from eha_monitor.balances.measured import course_of, courses_of
 from eha_monitor.balances.model import LOAD, Model, of_machine, of_recordings, on_held_out
 from eha_monitor.balances.named import (
     DRY_SYMBOLS,

@@ -12,13 +12,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from eha_monitor.balances.course import Course, course_of, known_of
+from eha_monitor.balances.course import Course
 from eha_monitor.balances.least_squares import (
     independent,
     inverse_of,
     signed_solution,
     unexcluded,
 )
+from eha_monitor.balances.measured import course_of, known_of
 from eha_monitor.balances.table import areas_apart, flow_columns
 from eha_monitor.balances.together import of_one_machine
 from eha_monitor.errors import InputError

@@ -2,7 +2,7 @@
 
 A candidate is linear in its one number; what is not (a distance, a speed, a share) stands as a
 few candidates of one ``effect``, of which at most one enters.  All balances are taken relative to
-the config: its mass, leakage, effects and drive are subtracted before (:func:`course.known_of`).
+the config: its mass, leakage, effects and drive are subtracted before (:func:`measured.known_of`).
 
     force   A1 p1 - A2 p2 - M x'' - known = B x' + F_0 + F_c sgn x' + ...
     flow    A1 x' - known = D_p omega - C_h p' - L (p1 - p2) - ...
@@ -560,7 +560,8 @@ def drive_candidates(scale: Scale, rig: Rig) -> tuple[Candidate, ...]:
     if rig.position_gain:
         found.append(one(
             "k_v", "feed_forward", "rad/m", "feed-forward of the speed beside the gain", 0,
-            lambda c, r: c.v + slope(c.wanted, c.dt) / r.position_gain, power=1.0,
+            lambda c, r: None if c.quiet == COMMANDED else (
+                c.v + slope(c.wanted, c.dt) / r.position_gain), power=1.0,
             twins=("position_delay",)))
     for i, top in enumerate(scale.tops, start=1):
         found.append(one(

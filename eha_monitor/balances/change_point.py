@@ -25,8 +25,9 @@ from eha_monitor import ties
 from eha_monitor.balances.alone import alone
 from eha_monitor.balances.candidates import Candidate, Scale, balances_in, candidates_of
 from eha_monitor.balances.contact import contacts_of
-from eha_monitor.balances.course import Course, course_of
+from eha_monitor.balances.course import Course
 from eha_monitor.balances.least_squares import independent, inverse_of, signed_solution
+from eha_monitor.balances.measured import course_of
 from eha_monitor.balances.policy import POLICY, Policy
 from eha_monitor.balances.table import FOLDS, Table, tables_of
 from eha_monitor.balances.together import of_one_machine

@@ -9,10 +9,10 @@ import numpy as np
 from eha_monitor.balances.answer import overlay_of, place_of, still
 from eha_monitor.balances.candidates import SIDES, balances_in
 from eha_monitor.balances.change_words import WORDS, advice_beside, change_of, in_share, message_of
-from eha_monitor.balances.course import courses_of
 from eha_monitor.balances.judge import within_stroke
 from eha_monitor.balances.judged import Judged, JudgedBalance, Moved, explains, left_unseen
 from eha_monitor.balances.machine import LEAST, Machine, of_another
+from eha_monitor.balances.measured import courses_of
 from eha_monitor.balances.model import LOAD, Model, Term, of_judged
 from eha_monitor.balances.named import size_of
 from eha_monitor.balances.parameters import Stiffness, stiffness_of

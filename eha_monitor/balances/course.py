@@ -8,28 +8,12 @@ low-pass without phase, so that a linear law stays exactly that law whatever the
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
-from itertools import compress
 
 import numpy as np
-from scipy.signal import butter, lfilter, sosfiltfilt
+from scipy.signal import butter, sosfiltfilt
 
-from eha_monitor.errors import InputError
-from eha_monitor.estimation.modelled import contributions_along
-from eha_monitor.estimation.rig_model import added_by, force_missing, force_of
-from eha_monitor.estimation.sensors import (
-    noise_levels,
-    quantum,
-    undo_sensors,
-    without_spikes,
-)
-from eha_monitor.indicators.laws import viscosity_factor
 from eha_monitor.physics import signals as s
-from eha_monitor.physics.contributions import circuit_of, new_memory
-from eha_monitor.physics.parameters import theta_of
 from eha_monitor.quantity import share
-from eha_monitor.recordings.grid import filled
-from eha_monitor.recordings.recording import Recording, between_stops, sample_of, sampled_rows
-from eha_monitor.settings.monitor import Settings
 from eha_monitor.settings.rig import Rig
 
 LOW = 0.05  # of the samples of an emptier chamber: what stands for its lowest pressure
@@ -37,32 +21,20 @@ AWHILE = 1e-3  # of the samples: a pressure that is reached, and not by noise
 EMPTY = 0.1  # of the samples in which a chamber is the emptier one, for that to be said
 BAND = 5.0  # Hz: pass band of every balance; wider ones are for motions beyond it
 MOTION = 4.0  # bands: pass band of the motion
-STEPS = 8  # of the effects' memory in a sample: a line is faster than the grid
 GRID, COARSE = 32, 4  # points in a period of the band; each so-many-th of them is compared
-BRIDGED = 0.1  # of a period of the motion's band: a gap that a straight line bridges
-FADED = 0.01  # of the motion: what is left of a gap that may count
-JOINED = 5.0  # periods of the band that a step takes to fade to 1e-5 of itself behind its low-pass
-APART = 0.5  # periods of the band over which its low-pass mixes a sample with its neighbours
-SPARSE = 0.4  # samples in a period of the band, inverted: fewer do not hold it
 NO_MOTION = "nothing moves in it"
 STEADY = 16  # compared samples that go steadily one way
 HUNTS = 0.1  # of the motion: less of it steady is a drive that hunts, and shows no friction
 STANDING = 0.02  # of the top speed: below it dry friction takes any value
-DEAD = 0.02  # s: a value that does not change for longer while others do ...
-JUMPED = 5.0  # ... times the usual largest step away from what comes before or after
-SHORTEST = 0.5  # s of usable recording
-SELDOM = 0.5  # of the rows: a channel with values in fewer is why nothing is usable
 COMMANDED, MEASURED = 0.005, 0.05  # of its size: a smaller demand has no sign; noise-free, noisy
 TRAVEL = 20.0  # times the position's noise: less is no motion
 DESIGNS = 64  # low-passes that are kept
-CHANNELS = ("x", "x_d", "omega", "omega_d", "p1", "p2", "force")
 # Whose oil a pump presses: of the chamber that it is asked to fill, or that has the higher
 # pressure, always of chamber 1, of both.
 IN_TURN, HIGHER, CHAMBER_1, BOTH = "in_turn", "higher_pressure", "chamber_1", "both"
 ONE_PUMP = "one_pump"  # fills the chamber of the higher pressure, whose area its flow moves
 CLOSED = 0.75  # of what the higher pressure rises, the lower one falls
 ROUNDING = 1e-9  # of its size: what changes less keeps one value
-GAUGE = 0.5  # of the ambient pressure: a reading below is no absolute pressure
 
 
 @dataclass(frozen=True)
@@ -256,7 +228,7 @@ class Course:
 
     def in_band(self, columns: np.ndarray) -> np.ndarray:
         """Return columns (m, k) or (m,) after the low-pass of every balance, compared points."""
-        return _low_pass(columns, self.band, self.dt)[:: self.every]
+        return low_pass(columns, self.band, self.dt)[:: self.every]
 
     def compared(self, values: np.ndarray) -> np.ndarray:
         """Return values (m,) at the compared points."""
@@ -345,182 +317,9 @@ def oil_of(courses: Sequence[Course]) -> str:
     return BOTH if -shared >= CLOSED * high else IN_TURN
 
 
-def course_of(recording: Recording, settings: Settings, band: float = BAND) -> Course:
-    """Return the measured motion of a recording, for balances up to ``band`` Hz.
-
-    Raises
-    ------
-    InputError
-        If position or force are missing, or less than ``SHORTEST`` s are usable.
-    """
-    rig, rows, recording = settings.rig, sampled_rows(len(recording)), sample_of(recording)
-    why = force_missing(rig, [name for name in recording.channels if recording.has(name)])
-    if why:
-        raise InputError(f"{recording.source}: {why}")
-    dt = recording.sample_time
-    if dt * band > SPARSE:
-        raise InputError(f"{recording.source}: expected at least {band / SPARSE:.3g} samples a "
-                         f"second for balances below {band:g} Hz, found {1.0 / dt:.3g}")
-    names = [name for name in CHANNELS if recording.has(name)]
-    noise = noise_levels(recording, settings.noise)
-    cleaned, _ = without_spikes({name: recording.channels[name] for name in names}, noise)
-    needed = [name for name in names if name not in ("x_d", "omega_d")]
-    # A demand is no sensor: it may rest for long and jump.
-    cleaned |= {name: np.where(_dead(cleaned[name], dt), np.nan, cleaned[name])
-                for name in needed}
-    theta, active = theta_of(rig, settings.effects)
-    circuit = circuit_of(theta, active)
-    true, noise = undo_sensors(cleaned, noise, circuit, rows * dt)
-    bridged = round(BRIDGED / (MOTION * band * dt))
-    missing = _gaps(~np.all([np.isfinite(true[name]) for name in needed], axis=0), bridged)
-    # What stands still is as a straight line says; what was not recorded is not.
-    missing |= _gaps(~np.all([np.isfinite(recording.channels[name]) for name in needed], axis=0),
-                     bridged, 1.0 / (band * dt))
-    fades = round(JOINED / (band * dt))
-    for join in np.flatnonzero(np.diff(rows) > 1):  # of two stretches: a step, for a low-pass
-        missing[max(join - fades, 0):join + fades] = True
-    whole = {name: filled(values) for name, values in true.items()}
-    force = force_of(rig, whole)
-    away = np.zeros(len(recording), dtype=bool)
-    for first, last in between_stops(whole["x"], force, dt):
-        away[first:last] = True
-
-    every = max(1, round(1.0 / (GRID * band * dt)))
-    cutoff = min(MOTION * band, 0.2 / dt)
-    reach = max(1, round(APART / band / dt))
-    bad = np.convolve(missing | ~away, np.ones(2 * reach + 1), mode="same") > 0.5
-    bad[:reach] = bad[-reach:] = True
-
-    def fine(values):
-        return _low_pass(values, cutoff, dt)[::every]
-
-    x = _low_pass(whole["x"], cutoff, dt)
-    v = slope(x, dt)
-    a, step, good = slope(v, dt)[::every], every * dt, ~bad[::every]
-    if good.sum() * step < SHORTEST:
-        seldom = {name: np.mean(np.isfinite(true[name])) for name in needed}
-        least = min(seldom, key=seldom.get)
-        raise InputError(
-            f"{recording.source}: expected at least {SHORTEST:g} s of motion away from stops with "
-            f"all channels, found {good.sum() * step:.1f} s" + (
-                f"; {least} has a value in {share(seldom[least], 2)} of the rows"
-                if seldom[least] < SELDOM else ""))
-    v, x = v[::every], np.ascontiguousarray(x[::every])  # one layout for compiled loops
-    p1, p2, omega = (fine(whole[name]) if name in whole else None
-                     for name in ("p1", "p2", "omega"))
-    rate_1, rate_2 = (None if p is None else slope(p, step) for p in (p1, p2))
-    top = np.quantile(np.abs(v[good]), 0.998)
-    slow = np.abs(v) < STANDING * top
-    slow[1:] |= v[1:] * v[:-1] <= 0.0  # a quick reversal may fall between two points
-    near = max(1, round(APART / band / step))
-    moving = np.convolve(slow, np.ones(2 * near + 1), mode="same") < 0.5
-    moving &= np.ptp(x[good]) > TRAVEL * noise["x"].value
-    demand = whole.get("omega_d", whole.get("omega"))
-    asked = _speed_demand(cleaned["x"], whole, rig, circuit, dt)
-    wanted = None if asked is None else _followed(asked, circuit, dt)
-    pressures = [p[good] for p in (p1, p2) if p is not None]
-    found = Course(
-        recording.source, band, step, STEPS * every, x, v, a, fine(force), p1, p2, rate_1, rate_2,
-        omega, None if wanted is None else fine(wanted), None if demand is None else fine(demand),
-        COMMANDED if "omega_d" in whole else MEASURED, {}, _sensors(noise, cleaned),
-        0.5 * dt, passed(dt, band), bool(pressures) and min(
-            float(np.quantile(p, 0.01)) for p in pressures) < GAUGE * rig.ambient_pressure,
-        rig.area_2 / rig.area_1 if rig.area_1 and rig.area_2 else None, good, moving & good,
-        viscosity=_viscosity(recording, settings), effects=settings.effects)
-    found.known.update(known_of(found, rig, theta, active))
-    return found
-
-
-def _viscosity(recording: Recording, settings: Settings) -> float:
-    """Return the oil's viscosity over that at the reference temperature; NaN if not measured."""
-    if not recording.has("temperature"):
-        return np.nan
-    return 1.0 / viscosity_factor(
-        settings.viscosity, float(np.nanmean(recording.channels["temperature"])))
-
-
-def _gaps(missing: np.ndarray, short: int, period: float = 0.0) -> np.ndarray:
-    """Return where samples are missing, (n,) bool, without runs of up to ``short`` of them.
-
-    With what the low-pass of the band makes of a straight line over them: it is wrong by (gap /
-    period)^2 of the motion, all of it at most, and fades to a tenth in each ``period`` (samples;
-    0: the line is right).
-    """
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], missing, [False]])))
-    found = np.zeros(len(missing), dtype=bool)
-    for start, stop in edges.reshape(-1, 2):
-        if stop - start > short:
-            wrong = min((stop - start) / max(period, 1e-9), 1.0) ** 2
-            fades = round(max(np.log10(wrong / FADED), 0.0) * period)
-            found[max(start - fades, 0) : stop + fades] = True
-    return found
-
-
 def _changes(values: np.ndarray) -> bool:
     """Tell whether values are more than one, but for rounding."""
     return bool(np.ptp(values) > ROUNDING * np.abs(values).max())
-
-
-def courses_of(recordings: Sequence[Recording], settings: Settings
-               ) -> tuple[list[Recording], list[Course], tuple[str, ...]]:
-    """Return the recordings that hold a motion, their motions, and why others are left out.
-
-    All are kept where nothing moves in any.
-
-    Raises
-    ------
-    InputError
-        If none has a balance.
-    """
-    kept, courses, problems = [], [], []
-    for recording in recordings:
-        try:
-            courses.append(course_of(recording, settings))
-            kept.append(recording)
-        except InputError as problem:
-            problems.append(problem)
-    if not courses:
-        raise problems[0]
-    lines = [f"left out: {problem}" for problem in problems]
-    moves = [course.shows for course in courses]
-    if any(moves):  # at rest a seal holds whatever load there is
-        lines += [f"left out: {course.source}: {course.still}" for course in courses
-                  if course.still]
-        kept, courses = list(compress(kept, moves)), list(compress(courses, moves))
-    return kept, courses, tuple(lines)
-
-
-def known_of(course: Course, rig: Rig, theta: np.ndarray, active: np.ndarray
-             ) -> dict[str, np.ndarray]:
-    """Return what the config adds to each balance beyond B, D_p and the compliance, SI.
-
-    The force of its mass and effects, (m,), and the flow of its leakage and effects as of either
-    chamber, (2, m), by the catalogue's own compiled terms along the measured motion.  A volume
-    that changes over the stroke is in the compliance, which is fitted, and not in the flow.
-    """
-    zero = np.zeros(len(course))
-    c = np.zeros((len(course), s.N_CONTRIBUTIONS))
-    # As in the stages: a term of the shaft's angle, which no recording has, is left out.
-    active = np.array([on and bool(added_by(which, theta)) for which, on in enumerate(active)])
-    if active.any():
-        contributions_along(course.track(), course.dt, course.steps, theta, active,
-                            new_memory(), c)
-    known = {"force": c[:, s.FORCE] + (rig.mass + c[:, s.MASS]) * course.a, "drive": zero}
-    if not course.has_flow:
-        return known
-    pump = (rig.pump_displacement or 0.0) * c[:, s.SPEED]
-    crossing = 0.5 * (rig.leakage - rig.makeup_conductance) * (course.p1 - course.p2)
-    left, stroke = [], []
-    for sign, ratio, p, rate, volume, own, more, into in (
-            (1.0, 1.0, course.p1, course.rate_1, s.VOLUME_1, rig.volume_1, s.COMPLIANCE_1,
-             s.FLOW_1),
-            (-1.0, course.ratio, course.p2, course.rate_2, s.VOLUME_2, rig.volume_2,
-             s.COMPLIANCE_2, s.FLOW_2)):
-        soft = ((own or 0.0) + c[:, volume]) * c[:, more]
-        makeup = rig.makeup_conductance * (p - rig.charge_pressure)
-        left.append(sign / ratio * (c[:, into] - sign * crossing - makeup - soft * rate))
-        stroke.append(sign / ratio * c[:, volume] * rate)
-    return known | {"flow": pump + np.stack(left), "stroke": np.stack(stroke)}
 
 
 @lru_cache(DESIGNS)
@@ -529,7 +328,7 @@ def passed(dt: float, band: float) -> tuple[float, float]:
     half = max(8, round(3.0 / band / dt))
     impulse = np.zeros(2 * half + 1)
     impulse[half] = 1.0
-    response = _low_pass(impulse, min(band, 0.2 / dt), dt)
+    response = low_pass(impulse, min(band, 0.2 / dt), dt)
     return (float(np.sqrt(np.sum(response**2))),
             float(np.sqrt(np.sum(slope(response, dt) ** 2))))
 
@@ -547,75 +346,13 @@ def slope(values: np.ndarray, dt: float) -> np.ndarray:
     return found
 
 
-def _sensors(noise: dict, channels: dict[str, np.ndarray]) -> dict[str, float]:
-    """Return the noise of position, pressures (the larger), pump speed and force in a sample."""
-    x = channels["x"]
-    level = {name: one.value for name, one in noise.items()}
-    return {"x": float(np.hypot(level.get("x", 0.0),
-                                quantum(x[np.isfinite(x)]) / np.sqrt(12.0))),
-            "p": max(level.get("p1", 0.0), level.get("p2", 0.0)),
-            "omega": level.get("omega", 0.0), "force": level.get("force", 0.0)}
-
-
-def _ahead(values: np.ndarray, lead: float, dt: float) -> np.ndarray:
-    """Return samples (n,) from ``lead`` s later."""
-    t = np.arange(len(values)) * dt
-    return np.interp(t + lead, t, values)
-
-
-def _speed_demand(shown: np.ndarray, true: dict[str, np.ndarray], rig: Rig, w: np.ndarray,
-                  dt: float) -> np.ndarray | None:
-    """Return the speed that is demanded of the drive, (n,) rad/s; None where nothing says.
-
-    ``shown`` is the position as its sensor shows it, NaN where missing: a loop in which that
-    stands reads it.
-    """
-    if "omega" not in true:
-        return None
-    if "omega_d" in true:
-        return true["omega_d"]
-    if "x_d" not in true or rig.position_gain is None:
-        return None
-    read, lead = (filled(shown), w[s.POSITION_DELAY]) if w[s.IN_LOOP] else (true["x"], 0.0)
-    return rig.position_gain * (true["x_d"] - _ahead(read, lead - w[s.FEEDBACK_DELAY], dt))
-
-
-def _followed(demand: np.ndarray, w: np.ndarray, dt: float) -> np.ndarray:
-    """Return the speed that the config's drive makes of a demand, (n,) rad/s."""
-    made = (1.0 + w[s.DRIVE_GAIN]) * _ahead(demand, -w[s.COMMAND_DELAY], dt)
-    made = np.clip(made, -w[s.SPEED_LIMIT], w[s.SPEED_LIMIT])
-    if w[s.DRIVE_LAG] > 0.0:
-        pole = np.exp(-dt / w[s.DRIVE_LAG])
-        made = lfilter([1.0 - pole], [1.0, -pole], made, zi=[pole * made[0]])[0]
-    return made
-
-
 @lru_cache(DESIGNS)
 def _sections(cutoff: float, dt: float) -> np.ndarray:
     """Return the second-order sections of the low-pass; a design takes as long as a use of it."""
     return butter(4, cutoff, fs=1.0 / dt, output="sos")
 
 
-def _low_pass(values: np.ndarray, cutoff: float, dt: float) -> np.ndarray:
+def low_pass(values: np.ndarray, cutoff: float, dt: float) -> np.ndarray:
     """Return values (n,) or (n, k) behind a Butterworth low-pass of ``cutoff`` Hz, both ways."""
     return sosfiltfilt(_sections(cutoff, dt), values, axis=0,
                        padlen=min(len(values) - 1, round(1.0 / dt)))
-
-
-def _dead(values: np.ndarray, dt: float) -> np.ndarray:
-    """Return which samples are dead, (n,) bool: held for long, and far from before or after.
-
-    A sensor that drops to nil or a logger that repeats its last value; a position at rest is
-    neither, since it goes on from where it stood.
-    """
-    starts = np.flatnonzero(np.concatenate([[True], values[1:] != values[:-1]]))
-    lengths = np.diff(np.append(starts, len(values)))
-    jumps = np.abs(np.diff(values))
-    moved = jumps[np.isfinite(jumps) & (jumps > 0.0)]
-    if not len(moved):
-        return np.zeros(len(values), dtype=bool)
-    far = JUMPED * np.quantile(moved, 0.98)
-    before = np.concatenate([[0.0], jumps])[starts]
-    after = np.append(jumps, 0.0)[starts + lengths - 1]
-    dead = (lengths * dt > DEAD) & (np.maximum(np.nan_to_num(before), np.nan_to_num(after)) > far)
-    return np.repeat(dead, lengths)

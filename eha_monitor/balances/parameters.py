@@ -24,12 +24,8 @@ from eha_monitor.balances.baseline import (
 )
 from eha_monitor.balances.bends import FALL
 from eha_monitor.balances.candidates import oil_pressed
-from eha_monitor.balances.course import (
-    BAND,
-    Course,
-    course_of,
-    slope,
-)
+from eha_monitor.balances.course import BAND, Course, slope
+from eha_monitor.balances.measured import course_of
 from eha_monitor.balances.table import areas_apart, flow_columns
 from eha_monitor.balances.together import of_one_machine, pooled
 from eha_monitor.errors import InputError

@@ -13,10 +13,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from eha_monitor.balances.candidates import stop
-from eha_monitor.balances.course import Course, courses_of
+from eha_monitor.balances.course import Course
 from eha_monitor.balances.judge import within_stroke
 from eha_monitor.balances.judged import Judged, Moved
 from eha_monitor.balances.machine import Machine
+from eha_monitor.balances.measured import courses_of
 from eha_monitor.balances.model import LOAD
 from eha_monitor.balances.source import source_of
 from eha_monitor.balances.viscous import judge_with_oil

@@ -13,8 +13,8 @@ import numpy as np
 
 from eha_monitor.balances.change_point import since_change
 from eha_monitor.balances.changed import WORDS, against, shares_of
-from eha_monitor.balances.course import courses_of
 from eha_monitor.balances.machine import Machine, healthy_machine_of
+from eha_monitor.balances.measured import courses_of
 from eha_monitor.balances.policy import POLICY
 from eha_monitor.balances.scatter import limit_of
 from eha_monitor.breakdown import computing

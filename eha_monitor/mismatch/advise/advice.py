@@ -8,8 +8,8 @@ import numpy as np
 from eha_monitor.balances.answer import Asked, answered, far_from_config, first_answer
 from eha_monitor.balances.candidates import Scale, balances_in, candidates_of
 from eha_monitor.balances.contact import contacts_of
-from eha_monitor.balances.course import course_of
 from eha_monitor.balances.least_squares import inverse_of
+from eha_monitor.balances.measured import course_of
 from eha_monitor.balances.policy import POLICY
 from eha_monitor.balances.table import pooled_table, tables_of
 from eha_monitor.breakdown import computing

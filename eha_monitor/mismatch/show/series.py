@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from eha_monitor.balances.candidates import Scale, balances_in, candidates_of
-from eha_monitor.balances.course import course_of
+from eha_monitor.balances.measured import course_of
 from eha_monitor.balances.policy import POLICY
 from eha_monitor.balances.table import tables_of
 from eha_monitor.breakdown import computing
