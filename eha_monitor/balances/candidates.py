@@ -11,7 +11,6 @@ the config: its mass, leakage, effects and drive are subtracted before (:func:`m
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
 
 import numpy as np
 
@@ -434,24 +433,25 @@ def _pressed(course: Course, rig: Rig) -> np.ndarray:
     return pressure_rate(course) if oil is None else course.of_filled(*oil) / rig.volume_1
 
 
-def side_of_play(course: Course, sharp: bool) -> np.ndarray:
-    """Return the side of its play on which the position's sensor lies, (m,) -1..1.
+def swallowed(course: Course, rig: Rig, sharp: bool) -> np.ndarray:
+    """Return the flow that a position sensor with a play of 1 m misses, (m,) m²/s.
 
-    The piston goes over to the other one while the sensor stands.
+    The sensor is dragged, x_s = x - (b/2) s, so at each reversal the piston goes on by b unseen
+    (play operator, Nordin, Gutman 2002): A x_s' = A x' - (b/2) A s'.
 
     Parameters
     ----------
-    sharp : at once, as the sensor sets out; else by the cube of the time that it has stood, of a
-        piston that turns slowly, and after a rest within the last period of the band.
+    sharp : the side s goes over at once, as the sensor sets out again; else with the direction of
+        motion, of a piston that turns slowly, but for a rest that ends in the same one.
     """
-    level = STANDING * course.speed
-    side, moves = last_sign(course.v, level), np.flatnonzero(np.abs(course.v) > level)
-    for last, first in pairwise(moves) if not sharp else ():
-        if side[last] != side[first]:
-            start = max(last, first - round(1.0 / (course.band * course.dt)))
-            gone = np.linspace(0.0, 1.0, first - start + 1) ** 3
-            side[start : first + 1] = side[last] * (1.0 - 2.0 * gone)
-    return side
+    if sharp:
+        side = last_sign(course.v, STANDING * course.speed)
+    else:
+        side = course.direction.copy()
+        moving = np.flatnonzero(np.abs(side) >= 1.0)
+        for i in np.flatnonzero((np.diff(moving) > 1) & (np.diff(side[moving]) == 0.0)):
+            side[moving[i]:moving[i + 1]] = side[moving[i]]
+    return -0.5 * rig.area_1 * slope(side, course.dt)
 
 
 def _air(course: Course, rig: Rig) -> np.ndarray | None:
@@ -529,8 +529,8 @@ def flow_candidates(scale: Scale, rig: Rig) -> tuple[Candidate, ...]:
         # Where the motion turns the piston moves by b before its sensor does.  Friction that turns
         # presses the oil then: without its compliance that is a play.
         *(one(name, "backlash", "m", "play between piston and position sensor", 1,
-              lambda c, r, sharp=sharp: -0.5 * r.area_1 * slope(side_of_play(c, sharp), c.dt),
-              symbol="b", shape=(("in_loop", 1.0),), variant=True, upon="compliance")
+              lambda c, r, sharp=sharp: swallowed(c, r, sharp), symbol="b",
+              shape=(("in_loop", 1.0),), variant=True, upon="compliance")
           for name, sharp in (("b", True), ("b_2", False))),
     )
 

@@ -23,7 +23,7 @@ from eha_monitor.balances.baseline import (
     force_fit,
 )
 from eha_monitor.balances.bends import FALL
-from eha_monitor.balances.candidates import oil_pressed
+from eha_monitor.balances.candidates import oil_pressed, swallowed
 from eha_monitor.balances.course import BAND, Course, slope
 from eha_monitor.balances.measured import course_of
 from eha_monitor.balances.table import areas_apart, flow_columns
@@ -134,7 +134,7 @@ def compressibility(course: Course, rig: Rig) -> Term | None:
     ways = [oil]
     if not np.any(stroke):
         ways.append(oil + rig.area_1 * course.x * course.of_filled(course.rate_1, course.rate_2))
-    play = ("b", "m", "play before the position sensor", 1, swallowed(course, rig))
+    play = ("b", "m", "play before the position sensor", 1, swallowed(course, rig, sharp=False))
     found: list[BalanceFit] = []
     for taken in ways:
         if _own(course, taken, np.column_stack([pump[4], leakage[4]])) < CLEAR * (
@@ -150,20 +150,6 @@ def compressibility(course: Course, rig: Rig) -> Term | None:
                 found.append(fit)
     best = min(found, key=lambda fit: fit.error_share, default=None)
     return None if best is None else best["1/beta_e"]
-
-
-def swallowed(course: Course, rig: Rig) -> np.ndarray:
-    """Return the flow that a position sensor with a play of 1 m misses, (m,) m²/s.
-
-    The sensor is dragged, x_s = x - (b/2) s, so at each reversal the piston goes on by b unseen
-    (play operator, Nordin, Gutman 2002): A x_s' = A x' - (b/2) A s'.  The side s is the direction
-    of motion, and that of the last motion where a rest ends in the same one.
-    """
-    side = course.direction.copy()
-    moving = np.flatnonzero(np.abs(side) >= 1.0)
-    for i in np.flatnonzero((np.diff(moving) > 1) & (np.diff(side[moving]) == 0.0)):
-        side[moving[i]:moving[i + 1]] = side[moving[i]]
-    return -0.5 * rig.area_1 * slope(side, course.dt)
 
 
 @dataclass(frozen=True)
