@@ -169,19 +169,16 @@ class Beside:
                 return changes, now, True, largest, _small(moved) if surely else None
             changes.append(moved)
             now = more
-            # What is next is looked for beside what has changed, whose size it may correct.
-            own = [*self.free, *(moved.candidate.name for moved in changes)]
-            left, free_oil = (amplitudes_of(table, now, own, names, {
-                name: spread for name, spread in spreads.items() if name not in own})
-                for spreads in (self.loose, self.oil))
+            left, free_oil = (each.moved(i, step) for each in (left, free_oil))
         return changes, now, True, largest, None
 
     def together(self, changes: list[Moved], now: dict[str, float]
                  ) -> tuple[list[Moved], dict[str, float]]:
         """Return several changes fitted at once, beside the oil: the first was found alone.
 
-        So another shape of it may have taken what is the next one's.  As they were found where
-        all that leaves more on unseen parts, or makes one less than nothing.
+        So another shape of it may have taken what is the next one's: one that leaves less than
+        ``near`` of the squares stands in its place.  As they were found where all that leaves more
+        on unseen parts, or makes one less than nothing.
         """
         found = tuple(moved.candidate.name for moved in changes)
         if len(found) < 2:
@@ -193,12 +190,11 @@ class Beside:
         fits = {names: self.joint(names) for names in sets}
         errors = {names: self.error(self.at_best(more, names)) for names, more in fits.items()
                   if not any(self.less_than_nothing(name, more[name]) for name in names)}
-        least = min(errors.values(), default=np.inf)
-        if least > self.error(self.at_best(now, found)):
+        if not errors or min(errors.values()) > self.error(self.at_best(now, found)):
             return changes, now
-        most = max(least, self.table.floor / self.table.size) * np.exp(self.policy.alone)
-        best = max((names for names in errors if errors[names] <= most),
-                   key=lambda names: sum(name in self.held for name in names))
+        best = min(errors, key=errors.get)
+        if found in errors and errors[best] ** 2 > self.policy.near * errors[found] ** 2:
+            best = found  # which shape a seal's friction has, the first search has said
         scatter, made = self.one.scatter.only(own), []
         for moved, name in zip(changes, best, strict=True):
             others = [other for other in best if other != name]
@@ -206,7 +202,7 @@ class Beside:
                 self.table, self.held, [*self.free, *others], own,
                 {other: spread for other, spread in self.oil.items() if other not in best})
             at = own.index(name)
-            made.append(self.moved(scatter, left, at, scatter.t_of(left)[at], scatter.limit[at],
+            made.append(self.moved(scatter, left, at, moved.deviations, moved.limit,
                                    moved.removed, moved.rivals))
         return made, fits[best]
 
