@@ -13,10 +13,8 @@ import numpy as np
 from eha_monitor.balances.least_squares import inverse_of
 from eha_monitor.balances.machine import Machine
 from eha_monitor.balances.model import Model, Term
-from eha_monitor.balances.policy import Policy
 from eha_monitor.balances.table import pooled_table
 from eha_monitor.quantity import number, quantity, share
-from eha_monitor.settings.rig import Rig
 from eha_monitor.words import effect_words, listed
 
 WORTH = 2.0  # times narrower: a recording that is worth the trouble
@@ -27,8 +25,7 @@ AGAIN = ("record the same machine again, with another load, another speed and on
          "diagnose all together: what one recording supports is not always there on another day")
 
 
-def advice_of(models: Sequence[Model], rig: Rig, policy: Policy, machine: Machine | None
-              ) -> tuple[str, ...]:
+def advice_of(models: Sequence[Model], machine: Machine | None) -> tuple[str, ...]:
     """Return what to record next, the most useful first, and what to do about rivals."""
     gains: dict[str, list[tuple[float, str]]] = {}
     for model in models:

@@ -120,7 +120,7 @@ def answered(recordings: Sequence[Recording], settings: Settings, asked: Asked =
     if asked.held_out is not None:
         shown = [replace(course_of(asked.held_out, settings), oil=courses[0].oil)]
         there = balances_in(shown, rig)
-        models = [on_held_out(one, shown[0], rig, scale, policy) for one in models
+        models = [on_held_out(one, shown[0], rig, policy) for one in models
                   if one.balance in there]
     flow = next((one["D_p"] for one in models if one.balance == "flow"), None)
     found = _composed(models, shown, settings, policy, leak_or_source(
@@ -128,7 +128,7 @@ def answered(recordings: Sequence[Recording], settings: Settings, asked: Asked =
     return replace(
         found, bags=tuple(one.source for one in recordings),
         data="held_out" if asked.held_out is None else "held_out_bag", baselines=baselines,
-        advice=advice_of(models, rig, policy, machine) + found.advice,
+        advice=advice_of(models, machine) + found.advice,
         health=found.health + (() if machine is None else tuple(
             f"{one.source} does not belong: {one.why}" for one in machine.odd)) + left_out,
         remarks=() if machine is None else lines_of(machine),
@@ -282,7 +282,7 @@ def _composed(models: Sequence[Model], courses: Sequence[Course], settings: Sett
         learned=tuple(learned.values()),
         probability={"consistent": np.nan, "unexplained": np.nan}, rig_data=wrong,
         rig_within=within,
-        fitted=_fitted(models, after, effects, wrong), gates=tuple(
+        fitted=_fitted(after, effects, wrong), gates=tuple(
             Gate(one.gate, one.what, one.statement) for model in models
             for one in model.refused))
 
@@ -488,7 +488,7 @@ def _agreement(models: Sequence[Model], courses: Sequence[Course]) -> tuple[Agre
     return tuple(found)
 
 
-def _fitted(models: Sequence[Model], after: dict[str, Value], effects: Sequence[NamedEffect],
+def _fitted(after: dict[str, Value], effects: Sequence[NamedEffect],
             wrong: Sequence[RigFinding]) -> Fitted | None:
     """Return the numbers behind an answer; each with its own deviation."""
     rows = [(name, value.value, value.stddev) for name, value in after.items()]

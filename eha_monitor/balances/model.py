@@ -350,7 +350,7 @@ def of_machine(one: MachineBalance, courses: Sequence[Course], rig: Rig, scale: 
     return _unseen_gate(model, policy)
 
 
-def on_held_out(model: Model, course: Course, rig: Rig, scale: Scale, policy: Policy) -> Model:
+def on_held_out(model: Model, course: Course, rig: Rig, policy: Policy) -> Model:
     """Return the model shown on another recording, whose load alone is fitted there."""
     (table,) = tables_of([course], rig, model.balance, tuple(model.tables[0].candidates), policy)
     before = table.left({name: value for name, value, _ in model.nominal})

@@ -196,8 +196,7 @@ def _corrected(fault: Fault, machine: Machine, recordings: Sequence[Recording],
                settings: Settings, given: Reading) -> Reading | None:
     """Return recordings with a channel corrected for what it would explain; None if nothing."""
     channel = fault.channel
-    changed = {one.candidate.effect: one for one in given.judged.changed
-               if fault.effect in (one.candidate.effect, *one.rivals)}
+    changed = {one.candidate.effect: one for one in given.judged.changed}
     name = next((name for name in fault.symptoms if name in changed), None)
     if name is None or not all(one.has(channel) for one in recordings):
         return None

@@ -330,7 +330,7 @@ class Recordings:
         """Correlations of all columns over all recordings, beside a load, absolute, (k, k)."""
         total = sum(self.reduced([self._places[c.name] for c in self.candidates.values()
                                   if c.always and c.effect == "constant_load"]))
-        size = np.sqrt(np.diag(total))
+        size = np.sqrt(np.maximum(np.diag(total), 0.0))  # of what a load makes up for, rounding
         return np.abs(total) / np.maximum(np.outer(size, size), 1e-300)
 
     def _has_variant(self, name: str, names: list[str]) -> bool:

@@ -80,14 +80,43 @@ def _parabola(u, y):
     yield {"F": float(level), "k": float(a), "c": float(b)}
 
 
-def _square(u, y):
-    law = u * np.abs(u)
-    yield {"c": float(law @ y / (law @ law))}
+def _law(size: str, law: Callable, shape: str = "", of: Callable = lambda u, share: share,
+         shares: tuple[float, ...] = (0.0,)) -> Callable:
+    """Return what yields a law's size by least squares, for each place or width of its shape.
+
+    Parameters
+    ----------
+    size, shape : names of the parameters; ``law`` of u and the shape's value.
+    of : the shape's value of u and a share.
+    """
+    def starts(u, y):
+        for share in shares:
+            value = float(of(u, share))
+            made = law(u, value)
+            found = {size: float(made @ y / max(made @ made, 1e-300))}
+            yield found | ({shape: value} if shape else {})
+    return starts
 
 
-def _root(u, y):
-    law = np.sign(u) * np.sqrt(np.abs(u))
-    yield {"c": float(law @ y / (law @ law))}
+def _of_largest(u, share):
+    return share * np.abs(u).max()
+
+
+def _along(u, share):
+    return u.min() + share * np.ptp(u)
+
+
+_square = _law("c", lambda u, _: u * np.abs(u))
+_cube = _law("c", lambda u, _: u**3)
+_root = _law("c", lambda u, _: np.sign(u) * np.sqrt(np.abs(u)))
+_saturation = _law("F", lambda u, w: np.tanh(u / w), "w", lambda u, share: share * np.ptp(u),
+                   (0.02, 0.1, 0.4))
+_dead_band = _law("k", lambda u, d: np.sign(u) * np.maximum(np.abs(u) - d, 0.0), "d",
+                  _of_largest, (0.15, 0.4, 0.7))
+_beyond = _law("k", lambda u, d: np.maximum(np.abs(u) - d, 0.0), "d", _of_largest,
+               (0.15, 0.4, 0.7))
+_threshold = _law("k", lambda u, at: np.maximum(u - at, 0.0), "u_0", _along, (0.25, 0.5, 0.75))
+_under = _law("k", lambda u, at: np.maximum(at - u, 0.0), "u_0", _along, (0.25, 0.5, 0.75))
 
 
 def _bump(u, y):
@@ -108,44 +137,6 @@ def _decay(u, y):
     far = float(y[ties.largest(np.abs(u))])
     for width in (0.05, 0.2):
         yield {"F_0": far, "F": middle - far, "w": width * float(np.ptp(u))}
-
-
-def _saturation(u, y):
-    for width in (0.02, 0.1, 0.4):
-        law = np.tanh(u / (width * np.ptp(u)))
-        yield {"F": float(law @ y / max(law @ law, 1e-300)), "w": width * float(np.ptp(u))}
-
-
-def _dead_band(u, y):
-    largest = float(np.abs(u).max())
-    for share in (0.15, 0.4, 0.7):
-        law = np.sign(u) * np.maximum(np.abs(u) - share * largest, 0.0)
-        yield {"k": float(law @ y / max(law @ law, 1e-300)), "d": share * largest}
-
-
-def _beyond(u, y):
-    largest = float(np.abs(u).max())
-    for share in (0.15, 0.4, 0.7):
-        law = np.maximum(np.abs(u) - share * largest, 0.0)
-        yield {"k": float(law @ y / max(law @ law, 1e-300)), "d": share * largest}
-
-
-def _cube(u, y):
-    yield {"c": float((u**3) @ y / (u**3 @ u**3))}
-
-
-def _threshold(u, y):
-    for share in (0.25, 0.5, 0.75):
-        place = float(u.min() + share * np.ptp(u))
-        law = np.maximum(u - place, 0.0)
-        yield {"k": float(law @ y / max(law @ law, 1e-300)), "u_0": place}
-
-
-def _under(u, y):
-    for share in (0.25, 0.5, 0.75):
-        place = float(u.min() + share * np.ptp(u))
-        law = np.maximum(place - u, 0.0)
-        yield {"k": float(law @ y / max(law @ law, 1e-300)), "u_0": place}
 
 
 def _sine(u, y):
