@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from sprung_rig import DRY, SETTINGS, B, one_wave, recorded
+from sprung_rig import DRY, LEAK, SETTINGS, B, one_wave, recorded
 
 from eha_monitor.balances.answer import answered
 from eha_monitor.balances.candidates import own_column
@@ -72,6 +72,21 @@ def test_a_leak_of_a_worn_stretch_is_a_curve_over_the_place(machine):
     height, place, _ = height_and_place(term)
     assert height == pytest.approx(4e-12 * 0.8, rel=0.15)  # mean above half of it
     assert place == pytest.approx(PLACE, abs=5e-4)
+
+
+def test_beside_another_change_it_is_learned_as_well(machine):
+    found = against(machine, [recorded(18, rough, leak=lambda t, x, v, dp: 4.0 * LEAK * dp)],
+                    SETTINGS, ("healthy",))
+    assert found.verdict == "mismatch"
+    assert [one.what for one in found.changes] == ["cross_port_leakage"]
+    (term,) = found.learned
+    height, place, _ = height_and_place(term)
+    assert height == pytest.approx(HEIGHT, rel=0.1) and place == pytest.approx(PLACE, abs=5e-4)
+
+
+def test_a_friction_that_follows_each_reversal_is_no_place_beside_a_machine(machine):
+    found = against(machine, [recorded(19, after_a_turn, motion=one_wave)], SETTINGS, ("healthy",))
+    assert found.verdict != "consistent" and not found.learned
 
 
 def test_what_follows_each_reversal_is_no_function_of_the_place():

@@ -110,10 +110,25 @@ class Beside:
             healthy = max(c.sign * healthy, c.least) * c.sign
         form = float(np.linalg.norm([share * forms.get(other, 0.0)
                                      for other, share in alike.items()]))
-        spread = float(np.hypot(scatter.spread[i], form))
-        return Moved(c, base + float(found.value[i]), float(np.hypot(found.stddev[i], spread)),
+        spread, doubt = float(np.hypot(scatter.spread[i], form)), self.doubt_of(c)
+        return Moved(c, base + float(found.value[i]),
+                     float(np.linalg.norm((found.stddev[i], spread, doubt))),
                      healthy, spread, float(t), limit, removed, rivals,
-                     float(np.hypot(found.stddev[i], scatter.spread[i])))
+                     float(np.linalg.norm((found.stddev[i], scatter.spread[i], doubt))))
+
+    def doubt_of(self, one: Candidate) -> float:
+        """Return how far a new term goes with the columns that stand for its one shape, SI.
+
+        How a piston goes through a play, for example, is no number of its own: half of what its
+        two columns differ by.
+        """
+        alike = [name for name, c in self.of.items() if c.effect == one.effect and c.variant
+                 and c.shape == one.shape and name not in self.held]
+        if len(alike) < 2 or one.name not in alike:
+            return 0.0
+        values = amplitudes_of(self.table, self.held, self.free, alike, self.oil).value
+        return 0.5 * float(np.ptp(values[np.isfinite(values)])) if np.isfinite(
+            values).any() else 0.0
 
     def part(self, one: Candidate, other: str) -> float:
         """Return what one unit of another column of the same quantity is of it."""
@@ -367,6 +382,7 @@ class Beside:
             self.of[other].effect for other, rest in zip(tried, left, strict=True)
             if other != name and rest <= left[at] * np.exp(policy.alone)
             and self.of[other].effect != self.of[name].effect)]))
+        apart = float(np.hypot(apart, self.doubt_of(self.of[name])))
         return Moved(self.of[name], here, apart, mean, float(scatter.spread[place]), float(t),
                      limit, rivals=rivals, apart=apart)
 

@@ -108,8 +108,10 @@ def message_of(verdict: str, changes: Sequence[Change], judged: Judged, runs: st
     if changes:
         said = "; ".join(one.statement + _or_a_sensor(one) for one in changes)
         said = f"{said}; what else differs is small: {'; '.join(small)}" if small else said
-        return "; ".join([said, *(f"{_left(one)}: something else has changed as well"
-                                  for one in judged.balances if one.foreign or not one.settled)])
+        return "; ".join([said, *(
+            f"what has come as well is {one.curve.term.sentence}" if one.curve is not None else
+            f"{_left(one)}: something else has changed as well" for one in judged.balances
+            if one.curve is not None or one.foreign or not one.settled)])
     if verdict == "consistent" and small:
         return f"what differs is too small to be called a change: {'; '.join(small)}"
     if verdict == "consistent":

@@ -102,7 +102,7 @@ def against(machine: Machine, recordings: Sequence[Recording], settings: Setting
         verdict, changes = "mismatch", (*changes, source)
     if verdict == "consistent" and {one.balance for one in judged.balances} <= blind.keys():
         verdict = "insufficient_data"
-    if verdict == "unexplained":
+    if verdict in ("unexplained", "mismatch"):
         judged = judged.with_curves(courses, rig, machine.policy)
     models = [_model(one) for one in judged.balances]
     if sensor:

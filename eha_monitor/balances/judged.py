@@ -141,7 +141,7 @@ class JudgedBalance:
                            for name, value in held.items()} | {LEARNED: 1.0}
         return replace(
             self, table=table, now=now, after=left_unseen(table, now, self.free), complete=True,
-            nearest=(), curve=curve, each=tuple(
+            nearest=(), curve=curve, alone=0.0, each=tuple(
                 with_column(one, replace(curve, column=part)) for one, part in zip(
                     self.each, np.split(curve.column, lengths), strict=True)))
 
@@ -223,7 +223,7 @@ class Judged:
 
     def with_curves(self, courses: Sequence[Course], rig: Rig, policy: Policy) -> "Judged":
         """Return it with what the balances that stay open lack learned, where that explains it."""
-        loud = {one.balance for one in self.loud if not (one.changed and one.settled)}
+        loud = {one.balance for one in self.loud if not one.changed}
         balances = tuple(one.with_curve(courses, rig, policy) if one.balance in loud else one
                          for one in self.balances)
         values = [one.values(policy) for one in balances if one.curve is not None]

@@ -117,6 +117,15 @@ class _Balance:
             found.append(_Fit(weight, left, made, _rms(left[table.good])))
         return found
 
+    def products(self, curve: np.ndarray) -> np.ndarray:
+        """Return the products of y, the free columns and those of a curve over the recordings."""
+        rows = np.column_stack([self.y, self.free, curve])[self.table.good]
+        return rows.T @ rows
+
+    def whole(self, curve: "_Curve") -> np.ndarray:
+        """Return the weights of the free columns and of a curve's, on all of the recordings."""
+        return self.solved(self.products(curve.columns), curve.penalty, curve.fit.smooth)
+
     def inner(self, gram: np.ndarray, penalty: np.ndarray, weight: float) -> np.ndarray:
         """Return the matrix of the normal equations of products with y first."""
         inner, first = gram[1:, 1:].copy(), self.free.shape[1]
@@ -156,8 +165,7 @@ def learned_curve(courses: Sequence[Course], table: Table, rig: Rig, held: Mappi
     free : name -> spread of those that move, about the held value if they have one; infinite of
         those that may be anything.
     most : rms that it may leave on blocks left out, SI; and no more than ``near`` of the squares
-        that are left without it.  On a periodic motion a curve over the position takes half of
-        whatever follows each reversal.
+        that are left without it, and what either direction says of it holds for the other.
     """
     if table.balance not in FORMS or len(table.numbers) < FEWEST:
         return None
@@ -172,10 +180,50 @@ def learned_curve(courses: Sequence[Course], table: Table, rig: Rig, held: Mappi
         return None
     best = curves[ties.largest([-np.log(max(one.fit.error, 1e-300)) for one in curves],
                                policy.gain)]
-    before = balance.fits(np.zeros((len(balance.y), 0)), np.zeros((0, 0)), (0.0,))[0].error
-    if best.fit.error > min(most, np.sqrt(policy.near) * before):
+    # A level of the curve is no place: its law's own number may be free, and stand in its stead.
+    law = PARALLEL[best.knots.form.times]
+    level = table.rows[:, [table.places[law]]] if law in table.places and law not in free else (
+        np.zeros((len(balance.y), 0)))
+    none = np.zeros((level.shape[1], level.shape[1]))
+    before = balance.fits(level, none, (0.0,))[0].error
+    fixed: dict[str, float] = {}
+    while True:  # what the oil cannot be stays as far as it can be
+        w = balance.whole(best)
+        spreads = np.array([free[name] for name in balance.names])
+        far = np.abs(w[:len(spreads)]) / np.maximum(spreads, 1e-300)
+        at = int(np.argmax(far)) if len(far) else 0
+        if not len(far) or far[at] <= policy.varied:
+            break
+        value = float(np.sign(w[at]) * policy.varied * spreads[at])
+        fixed[balance.names[at]] = value
+        balance = balance.without(at, value * balance.free[:, at])
+        best = replace(best, fit=balance.fits(best.columns, best.penalty, (best.fit.smooth,))[0])
+    if best.fit.error > min(most, np.sqrt(policy.near) * before) or not _either_way(
+            best, w, courses, balance, policy):
         return None
-    return _learned(best, courses, balance, rig, before, policy)
+    found = _learned(best, w, courses, balance, rig, before, policy)
+    return replace(found, beside=found.beside | fixed)
+
+
+def _either_way(curve: _Curve, w: np.ndarray, courses: Sequence[Course], balance: _Balance,
+                policy: Policy) -> bool:
+    """Tell whether the curve of either direction explains the other: leaves ``open`` of it.
+
+    On a motion that repeats, place and direction say when it is: what follows each reversal is a
+    function of them, and another one on the way back.
+    """
+    table = balance.table
+    missing = balance.y - balance.free @ w[:balance.free.shape[1]]
+    forwards = np.concatenate([course.compared(course.v) for course in courses]) > 0.0
+    bare = replace(balance, names=(), y=missing, free=balance.free[:, :0], ridge=np.zeros(0))
+    left = np.zeros(len(missing))
+    for here, there in ((forwards, ~forwards), (~forwards, forwards)):
+        own = np.column_stack([missing, curve.columns])[table.good & here]
+        if not len(own) or not (table.good & there).any():
+            return False
+        left[there] = missing[there] - curve.columns[there] @ bare.solved(
+            own.T @ own, curve.penalty, curve.fit.smooth)
+    return _rms(left[table.good]) ** 2 <= policy.open * _rms(missing[table.good]) ** 2
 
 
 def with_column(table: Table, curve: LearnedCurve) -> Table:
@@ -221,18 +269,17 @@ def _in_balance(adds: str, values: np.ndarray, course: Course, rig: Rig) -> np.n
                     axis=1)
 
 
-def _learned(curve: _Curve, courses: Sequence[Course], balance: _Balance, rig: Rig,
+def _learned(curve: _Curve, w: np.ndarray, courses: Sequence[Course], balance: _Balance, rig: Rig,
              before: float, policy: Policy) -> LearnedCurve:
     """Return a curve with its formula, if one says as much, as a record.
 
     Parameters
     ----------
+    w : weights of the free columns and of the curve's, of the whole recordings.
     before : rms that is left without it.
     """
     table, knots, form = balance.table, curve.knots, curve.knots.form
-    rows = np.column_stack([balance.y, balance.free, curve.columns])[table.good]
-    gram, first = rows.T @ rows, balance.free.shape[1]
-    w = balance.solved(gram, curve.penalty, curve.fit.smooth)
+    gram, first = balance.products(curve.columns), balance.free.shape[1]
     left = np.where(table.good, curve.fit.left, np.nan)
     noise = curve.fit.error**2 * independent(left)
     covariance = noise * inverse_of(

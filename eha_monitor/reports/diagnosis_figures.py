@@ -190,7 +190,7 @@ def learned_words(term: LearnedTerm) -> str:
     what = MISSING.get(term.balance, term.balance)
     if len(term.of) == 1:
         return what
-    if term.unit in ("N", "m³/s", "rad/s"):
+    if term.unit in ("N", "N·m", "m³/s", "rad/s"):
         return f"{what} against motion"
     return f"{what} for each unit of {_FACTORS[term.of[1]]}"
 
