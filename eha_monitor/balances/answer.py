@@ -394,8 +394,8 @@ def place_of(models: Sequence[Model], courses: Sequence[Course],
     blamed = {effect.balance for effect in effects} | {SIDE_OF[one.key] for one in wrong}
     by_sensor = blamed == {"sensor"}
     if verdict == "unexplained":
-        weights = {one.balance: max(one.error**2 - usual.get(one.balance, 0.0)**2, 0.0)
-                   for one in models}
+        weights = {one.balance: max((one.error if one.learned is None else one.nominal_error)**2
+                                    - usual.get(one.balance, 0.0)**2, 0.0) for one in models}
     else:  # a sensor's error shows in every balance that it spoils
         weights = {one.balance: max(one.nominal_error**2 - one.error**2, 1e-12)
                    for one in models if one.balance in blamed or by_sensor}

@@ -235,7 +235,8 @@ def _model(one: JudgedBalance) -> Model:
         terms += (Term(one.table.candidates[-1], 1.0, 0.0, named=True),)
     weights = {name: one.now.get(name, 0.0) - one.held.get(name, 0.0) for name in one.now}
     return Model(one.balance, one.each, (weights,) * len(one.each), terms, (), (), tuple(before),
-                 tuple(after), one.each, float(sum(table.effective for table in one.each)))
+                 tuple(after), one.each, float(sum(table.effective for table in one.each)),
+                 None if one.curve is None else one.curve.term)
 
 
 def _as_stiff(moved: Moved, machine: Machine, stiffness: Stiffness) -> bool:
