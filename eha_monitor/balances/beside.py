@@ -207,7 +207,8 @@ class Beside:
                   if not any(self.less_than_nothing(name, more[name]) for name in names)}
         if not errors or min(errors.values()) > self.error(self.at_best(now, found)):
             return changes, now
-        best = min(errors, key=errors.get)
+        best = list(errors)[ties.largest(
+            -np.log(np.maximum(list(errors.values()), 1e-12)), self.policy.gain)]
         if found in errors and errors[best] ** 2 > self.policy.near * errors[found] ** 2:
             best = found  # which shape a seal's friction has, the first search has said
         scatter, made = self.one.scatter.only(own), []

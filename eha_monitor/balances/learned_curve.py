@@ -186,23 +186,35 @@ def learned_curve(courses: Sequence[Course], table: Table, rig: Rig, held: Mappi
         np.zeros((len(balance.y), 0)))
     none = np.zeros((level.shape[1], level.shape[1]))
     before = balance.fits(level, none, (0.0,))[0].error
-    fixed: dict[str, float] = {}
-    while True:  # what the oil cannot be stays as far as it can be
-        w = balance.whole(best)
-        spreads = np.array([free[name] for name in balance.names])
-        far = np.abs(w[:len(spreads)]) / np.maximum(spreads, 1e-300)
-        at = int(np.argmax(far)) if len(far) else 0
-        if not len(far) or far[at] <= policy.varied:
-            break
-        value = float(np.sign(w[at]) * policy.varied * spreads[at])
-        fixed[balance.names[at]] = value
-        balance = balance.without(at, value * balance.free[:, at])
-        best = replace(best, fit=balance.fits(best.columns, best.penalty, (best.fit.smooth,))[0])
+    best, balance, fixed = _within(best, balance, free, policy)
+    w = balance.whole(best)
     if best.fit.error > min(most, np.sqrt(policy.near) * before) or not _either_way(
             best, w, courses, balance, policy):
         return None
     found = _learned(best, w, courses, balance, rig, before, policy)
     return replace(found, beside=found.beside | fixed)
+
+
+def _within(curve: _Curve, balance: _Balance, free: Mapping[str, float], policy: Policy
+            ) -> tuple[_Curve, _Balance, dict[str, float]]:
+    """Return a curve and its balance with what is free within its spread, and what that holds.
+
+    What the oil cannot be stays as far as it can be: else a damping that nobody has lets a curve
+    be friction at every place.
+    """
+    fixed: dict[str, float] = {}
+    while balance.names:
+        spreads = np.array([free[name] for name in balance.names])
+        moved = balance.whole(curve)[:len(spreads)]
+        at = int(np.argmax(np.abs(moved) / spreads))
+        if abs(moved[at]) <= policy.varied * spreads[at]:
+            break
+        value = float(np.sign(moved[at]) * policy.varied * spreads[at])
+        fixed[balance.names[at]] = value
+        balance = balance.without(at, value * balance.free[:, at])
+        curve = replace(curve, fit=balance.fits(
+            curve.columns, curve.penalty, (curve.fit.smooth,))[0])
+    return curve, balance, fixed
 
 
 def _either_way(curve: _Curve, w: np.ndarray, courses: Sequence[Course], balance: _Balance,
