@@ -263,8 +263,7 @@ def _composed(models: Sequence[Model], courses: Sequence[Course], settings: Sett
           for one in models if one.balance in varying),
         *(f"nothing of the catalogue explains {share(one.error, 2)} of the {one.balance} balance"
           for one in open_),
-        *(f"the {balance} balance lacks an effect that is not in the catalogue: {term.sentence}"
-          for balance, term in learned.items()),
+        *(term.message for term in learned.values()),
         *map(_unsure_words, [one for one in unsure if one.balance not in nameless])]) or (
         _agreeing_words(models, policy))
     return Diagnosis(

@@ -9,7 +9,12 @@ from eha_monitor.balances.alone import covariance_by_chance, form_and_doubts
 from eha_monitor.balances.candidates import Candidate
 from eha_monitor.balances.course import Course
 from eha_monitor.balances.learned_curve import NAME as LEARNED
-from eha_monitor.balances.learned_curve import LearnedCurve, learned_curve, with_column
+from eha_monitor.balances.learned_curve import (
+    LearnedCurve,
+    learned_curve,
+    with_column,
+    with_columns,
+)
 from eha_monitor.balances.policy import POLICY, Policy
 from eha_monitor.balances.table import Table
 from eha_monitor.balances.together import unseen
@@ -135,15 +140,12 @@ class JudgedBalance:
         curve = learned_curve(courses, self.table, rig, held, self.loose, most, policy)
         if curve is None or self.leaves_much(curve.error / self.table.size):
             return self
-        lengths = np.cumsum([len(table.rows) for table in self.each])[:-1]
         table = with_column(self.table, curve)
         now = self.held | {name: value + curve.beside.get(name, 0.0)
                            for name, value in held.items()} | {LEARNED: 1.0}
         return replace(
             self, table=table, now=now, after=left_unseen(table, now, self.free), complete=True,
-            nearest=(), curve=curve, alone=0.0, each=tuple(
-                with_column(one, replace(curve, column=part)) for one, part in zip(
-                    self.each, np.split(curve.column, lengths), strict=True)))
+            nearest=(), curve=curve, alone=0.0, each=with_columns(self.each, curve))
 
     def values(self, policy: Policy) -> dict[str, tuple[float, float, float]]:
         """Return the machine's parameters as the recording has them, as :class:`Judged` does.

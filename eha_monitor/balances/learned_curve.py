@@ -17,7 +17,7 @@ import numpy as np
 from eha_monitor import ties
 from eha_monitor.balances.candidates import SIDES, Candidate, own_column
 from eha_monitor.balances.course import STANDING, Course
-from eha_monitor.balances.least_squares import independent, inverse_of
+from eha_monitor.balances.least_squares import independent, inverse_of, rms
 from eha_monitor.balances.policy import Policy
 from eha_monitor.balances.scatter import ridge_of
 from eha_monitor.balances.table import FOLDS, Table
@@ -114,7 +114,7 @@ class _Balance:
                 w = self.solved(blocks[fold != one].sum(axis=0), penalty, weight)
                 made[here] = curve[here] @ w[first:]
                 left[here] = self.y[here] - self.free[here] @ w[:first] - made[here]
-            found.append(_Fit(weight, left, made, _rms(left[table.good])))
+            found.append(_Fit(weight, left, made, rms(left[table.good])))
         return found
 
     def products(self, curve: np.ndarray) -> np.ndarray:
@@ -235,7 +235,7 @@ def _either_way(curve: _Curve, w: np.ndarray, courses: Sequence[Course], balance
             return False
         left[there] = missing[there] - curve.columns[there] @ bare.solved(
             own.T @ own, curve.penalty, curve.fit.smooth)
-    return _rms(left[table.good]) ** 2 <= policy.open * _rms(missing[table.good]) ** 2
+    return rms(left[table.good]) ** 2 <= policy.open * rms(missing[table.good]) ** 2
 
 
 def with_column(table: Table, curve: LearnedCurve) -> Table:
@@ -244,6 +244,13 @@ def with_column(table: Table, curve: LearnedCurve) -> Table:
     return replace(table, rows=np.column_stack([table.rows, curve.column]), candidates=(
         *table.candidates, Candidate(NAME, NAME, table.balance, unit, "the learned term", 0,
                                      lambda course, rig: None, odd=False)))
+
+
+def with_columns(tables: Sequence[Table], curve: LearnedCurve) -> tuple[Table, ...]:
+    """Return the tables of which a curve's is made, each with its part of the column."""
+    lengths = np.cumsum([len(table.rows) for table in tables])[:-1]
+    return tuple(with_column(table, replace(curve, column=part)) for table, part in zip(
+        tables, np.split(curve.column, lengths), strict=True))
 
 
 def _curve(form: Form, courses: Sequence[Course], balance: _Balance, rig: Rig, policy: Policy
@@ -418,7 +425,3 @@ def _measured(curve: _Curve, courses: Sequence[Course], balance: _Balance
             rows.append((0.5 * (low + high), value, np.sqrt(np.mean(
                 (missing[here] - value * factor[here]) ** 2) * here.sum() / power)))
     return tuple(np.array(rows).T) if rows else (np.zeros(0),) * 3
-
-
-def _rms(values: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(values**2)))

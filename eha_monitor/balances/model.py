@@ -24,7 +24,7 @@ from eha_monitor.balances.bends import by_falls
 from eha_monitor.balances.candidates import Candidate, Scale, candidates_of
 from eha_monitor.balances.course import Course
 from eha_monitor.balances.learned_curve import NAME as LEARNED
-from eha_monitor.balances.learned_curve import LearnedCurve, learned_curve, with_column
+from eha_monitor.balances.learned_curve import LearnedCurve, learned_curve, with_columns
 from eha_monitor.balances.least_squares import from_absent, rms
 from eha_monitor.balances.machine import MachineBalance
 from eha_monitor.balances.policy import Policy
@@ -196,8 +196,7 @@ def _of_table(whole: Table, tables: Sequence[Table], rig: Rig, policy: Policy,
     if curve is not None:
         left, own = replace(whole, rows=np.column_stack(
             [whole.rows[:, 0] - curve.column, whole.rows[:, 1:]])), {LEARNED: 1.0}
-        tables = [with_column(table, replace(curve, column=part)) for table, part in zip(
-            tables, np.split(curve.column, lengths), strict=True)]
+        tables = with_columns(tables, curve)
     found = alone(left, policy)
     names = [name.term for name in found.names]
     bare, held = nominal_of(balance, rig)

@@ -30,7 +30,6 @@ from eha_monitor.mismatch.diagnosis import (
     Considered,
     Diagnosis,
     Gate,
-    LearnedTerm,
     Location,
     NamedEffect,
     RigFinding,
@@ -439,7 +438,7 @@ def assemble(recordings: list[Recording], shown: Experiment, naming: Naming, sta
         known = known[0], between_models(known[1], asked)
     return Diagnosis(
         tuple(one.source for one in recordings), verdict,
-        change_words(pieces, policy) if pieces else learned_words(told.term)
+        change_words(pieces, policy) if pieces else told.term.message
         if told is not None and told.term is not None else message_of(
             verdict, effects, where, wrong, within), where, effects, *known,
         "held_out_bag" if other_bag else "held_out", signals, curves,
@@ -482,12 +481,6 @@ def beside_own(experiment: Experiment, naming: Naming, told: ValidatedTerm) -> N
         naming, probability={}, consistent=naming.consistent * other, unexplained=unexplained,
         after=replace(fit, named=tuple(n for n in fit.named if n in CATALOGUE)),
         wrong=tuple(n.removeprefix("rig.") for n in fit.named if n.startswith("rig.")))
-
-
-def learned_words(term: LearnedTerm) -> str:
-    """Return the message of a verdict with a learned term."""
-    return (f"the {term.balance} balance lacks an effect that is not in the catalogue: "
-            f"{term.sentence}")
 
 
 def named_effect(experiment: Experiment, naming: Naming, name: str, tracks: list[np.ndarray]

@@ -202,6 +202,12 @@ class LearnedTerm:
         return (f"{self.statement}. It removes {share(min(self.removed, 0.999))} of the squared "
                 "error on unseen data")
 
+    @property
+    def message(self) -> str:
+        """What a balance lacks beside the catalogue."""
+        return (f"the {self.balance} balance lacks an effect that is not in the catalogue: "
+                f"{self.sentence}")
+
 
 @dataclass(frozen=True)
 class Considered:
