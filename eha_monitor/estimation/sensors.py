@@ -142,6 +142,14 @@ def true_pressure(shown, name: str, w: np.ndarray, time):
     return (shown - w[offset] - w[drift] * time) / (1.0 + w[scale])
 
 
+def true_position(shown, w: np.ndarray):
+    """Return the position at which the sensor shows ``shown`` behind its delay and its play, m.
+
+    The inverse of :func:`physics.plant.shown_position`.
+    """
+    return shown / (1.0 + w[s.POSITION_SCALE])
+
+
 def undo_sensors(channels: dict[str, np.ndarray], noise: dict[str, NoiseEstimate], w: np.ndarray,
                  time: np.ndarray) -> tuple[dict[str, np.ndarray], dict[str, NoiseEstimate]]:
     """Return the channels and their noise as right sensors would have shown them.
@@ -166,7 +174,7 @@ def undo_sensors(channels: dict[str, np.ndarray], noise: dict[str, NoiseEstimate
         noise[name] = scaled(noise[name], 1.0 + w[errors[0]])
     if "x" in channels:
         if w[s.POSITION_SCALE]:
-            channels["x"] = channels["x"] / (1.0 + w[s.POSITION_SCALE])
+            channels["x"] = true_position(channels["x"], w)
             noise["x"] = scaled(noise["x"], 1.0 + w[s.POSITION_SCALE])
         if w[s.PLAY]:
             channels["x"] = before_play(channels["x"], w[s.PLAY], noise["x"].value)

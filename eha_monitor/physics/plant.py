@@ -167,13 +167,19 @@ def behind_play(x, played, play):
 
 
 @njit(forceinline=True)
+def shown_position(x, w):
+    """Return what the position sensor shows at ``x`` m, behind its delay and its play."""
+    return (1.0 + w[of.POSITION_SCALE]) * x
+
+
+@njit(forceinline=True)
 def seen_by_drive(x_late, played, w):
     """Return the position that the drive reads, m, from the late true one."""
     if w[of.IN_LOOP] == 0.0:
         return x_late
     if w[of.PLAY] > 0.0:
         x_late = behind_play(x_late, played, w[of.PLAY])
-    return (1.0 + w[of.POSITION_SCALE]) * x_late
+    return shown_position(x_late, w)
 
 
 @njit(forceinline=True)
@@ -309,7 +315,7 @@ def sense(actuator, t, step, w, out):
                             y[Y_ACCELERATION])
     if w[of.PLAY] > 0.0:
         late = behind_play(late, y[Y_PLAYED], w[of.PLAY])
-    out[0] = (1.0 + w[of.POSITION_SCALE]) * late
+    out[0] = shown_position(late, w)
     out[1] = y[Y_V]
     delay = w[of.PRESSURE_DELAY]
     out[2] = ((1.0 + w[of.PRESSURE_SCALE_1]) * delayed_pressure(past, last, h, delay, 2, y)

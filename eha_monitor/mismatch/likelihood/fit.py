@@ -20,7 +20,7 @@ import numpy as np
 from scipy.optimize import lsq_linear
 
 from eha_monitor.estimation.rig_model import VALVES
-from eha_monitor.estimation.sensors import true_pressure
+from eha_monitor.estimation.sensors import true_position, true_pressure
 from eha_monitor.mismatch.data.experiment import MOST_STEPS, STEP_DECAY, Experiment
 from eha_monitor.mismatch.likelihood.gains import Unknowns, decay_of, gains_of
 from eha_monitor.mismatch.likelihood.innovations import (
@@ -219,13 +219,13 @@ def start_of(experiment: Experiment, stretch, w: np.ndarray) -> np.ndarray:
     ----------
     w : (N_CIRCUIT,) circuit of the model: scales, offsets and drifts of the sensors.
     """
-    charge, scale = experiment.settings.rig.charge_pressure, 1.0 + w[s.POSITION_SCALE]
+    charge = experiment.settings.rig.charge_pressure
     x, _, p1, p2, omega = stretch.first
-    meant = np.array([x / scale, true_pressure(p1, "p1", w, stretch.start),
+    meant = np.array([true_position(x, w), true_pressure(p1, "p1", w, stretch.start),
                       true_pressure(p2, "p2", w, stretch.start), omega])
     x, p1, p2, omega = np.where(np.isfinite(meant), meant, (0.0, charge, charge, 0.0))
     y = new_state(x, p1, p2)
-    y[1], y[4] = stretch.rise / experiment.dt / scale, omega
+    y[1], y[4] = true_position(stretch.rise, w) / experiment.dt, omega
     return y
 
 

@@ -38,7 +38,6 @@ from eha_monitor.physics.signals import (
     N_CONTRIBUTIONS,
     N_SIGNALS,
     PLAY,
-    POSITION_SCALE,
     M,
 )
 
@@ -113,7 +112,7 @@ def innovate(record, step, theta, active, correction, actuator, e, states):
             shown[0], shown[1] = y[plant.Y_X], y[plant.Y_V]
             if w[PLAY] > 0.0:
                 shown[0] = plant.behind_play(shown[0], y[plant.Y_PLAYED], w[PLAY])
-            shown[0] *= 1.0 + w[POSITION_SCALE]
+            shown[0] = plant.shown_position(shown[0], w)
             shown[2] = shown[3] = shown[4] = math.nan
         else:
             plant.sense(actuator, start + t, step, w, shown)
@@ -190,7 +189,7 @@ def transition(mode, step, theta, active, decay, y, u, shifts):
                 past[r, 0] = moved[0] - steps_ago * step.dt / step.steps * moved[1]
                 past[r, 1], past[r, 2], past[r, 3] = moved[1], moved[2], moved[3]
             if mode == FORCED:
-                shown[side, 0], shown[side, 1] = (1.0 + w[POSITION_SCALE]) * moved[0], moved[1]
+                shown[side, 0], shown[side, 1] = plant.shown_position(moved[0], w), moved[1]
                 plant.advance_forced(actuator, 0.0, 0, u, pressures, step, equations)
             else:
                 plant.sense(actuator, 0.0, step, w, shown[side])

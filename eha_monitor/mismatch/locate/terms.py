@@ -20,7 +20,7 @@ from eha_monitor.physics import signals as s
 from eha_monitor.physics.contributions import circuit_of
 from eha_monitor.physics.effects import CATALOGUE, NAMES
 from eha_monitor.physics.parameters import place_of
-from eha_monitor.physics.plant import Y_FLOW, Y_FORCE, Y_SPEED
+from eha_monitor.physics.plant import Y_FLOW, Y_FORCE, Y_SPEED, shown_position
 from eha_monitor.recordings.grid import filled
 
 DRIVE_STEPS = 5  # in a sample; a lag below half a step is taken as none
@@ -133,7 +133,7 @@ def modelled_error(fit: Fit, trajectory: np.ndarray, output: int) -> np.ndarray:
         late = np.interp(time - w[s.POSITION_DELAY], time, true)
         if w[s.PLAY] > 0.0:
             late = played(late, w[s.PLAY])
-        return (1.0 + w[s.POSITION_SCALE]) * late - true
+        return shown_position.py_func(late, w) - true
     scale, offset, drift, place = (
         (s.PRESSURE_SCALE_1, s.PRESSURE_OFFSET_1, s.PRESSURE_DRIFT_1, s.P1) if output == 2 else
         (s.PRESSURE_SCALE_2, s.PRESSURE_OFFSET_2, s.PRESSURE_DRIFT_2, s.P2))

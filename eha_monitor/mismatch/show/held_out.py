@@ -8,7 +8,7 @@ import numpy as np
 from eha_monitor.balances.baseline import Baseline
 from eha_monitor.balances.course import STANDING
 from eha_monitor.estimation.consistency import variance_ratios
-from eha_monitor.estimation.sensors import true_pressure
+from eha_monitor.estimation.sensors import true_position, true_pressure
 from eha_monitor.mismatch.data.experiment import Experiment
 from eha_monitor.mismatch.data.inputs import FORCED
 from eha_monitor.mismatch.data.stretch import Stretch
@@ -296,7 +296,7 @@ def righted(experiment: Experiment, fit: Fit, stretch: Stretch) -> Stretch:
     w, dt = circuit_of(fit.theta, fit.active), experiment.dt
     t = stretch.start + np.arange(len(stretch)) * dt  # a drift counts from the recording's start
     z = stretch.z.copy()
-    z[:, 0] = np.interp(t + w[s.POSITION_DELAY], t, filled(z[:, 0])) / (1.0 + w[s.POSITION_SCALE])
+    z[:, 0] = true_position(np.interp(t + w[s.POSITION_DELAY], t, filled(z[:, 0])), w)
     if w[s.PLAY] > 0.0:  # where the sensor rests behind it, the filter says where the piston is
         x = filtered(experiment, stretch, fit.theta, fit.active, fit.gains, states=True)[1][:, Y_X]
         z[:, 0] += x - played(x, w[s.PLAY])
