@@ -13,7 +13,18 @@ from test_filters_effects import CASES, recording_of
 from eha_monitor.balances.alone import alone
 from eha_monitor.balances.answer import Asked, answered
 from eha_monitor.balances.baseline import baseline
-from eha_monitor.balances.candidates import BALANCES, Scale, candidates_of
+from eha_monitor.balances.candidates import (
+    BALANCES,
+    BASE,
+    BENT_DAMPING,
+    FIRST_VIEW,
+    LINEAR,
+    PLAIN,
+    PUMP,
+    WATCHED,
+    Scale,
+    candidates_of,
+)
 from eha_monitor.balances.changed import against
 from eha_monitor.balances.course import BOTH, IN_TURN, oil_of
 from eha_monitor.balances.least_squares import unexcluded
@@ -67,6 +78,13 @@ def test_each_effect_has_a_column_or_a_reason(settings):
     needed = {name for name, effect in CATALOGUE.items() if effect.balance != "sensor"}
     assert needed - present == set(WITHOUT_COLUMN), (
         "balances/candidates.py, or a reason here (docs/effects.md, An entry of the catalogue)")
+
+
+def test_what_is_asked_of_terms_by_name_is_asked_of_terms_that_there_are(settings):
+    course = course_of(stranger(0, **CALM), settings)
+    names = {one.name for balance in BALANCES
+             for one in candidates_of(balance, Scale.of([course]), settings.rig)}
+    assert names >= {*FIRST_VIEW, BENT_DAMPING, *LINEAR, *BASE, *PUMP, *PLAIN, *WATCHED}
 
 
 def test_one_recording_names_what_is_there(one):

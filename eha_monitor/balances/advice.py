@@ -10,6 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from eha_monitor.balances.candidates import WATCHED
 from eha_monitor.balances.least_squares import inverse_of
 from eha_monitor.balances.machine import Machine
 from eha_monitor.balances.model import Model, Term
@@ -19,7 +20,6 @@ from eha_monitor.words import effect_words, listed
 
 WORTH = 2.0  # times narrower: a recording that is worth the trouble
 FASTER = 2.0  # times the speed
-WATCHED = ("B", "F_c", "k", "dM", "D_p", "L", "C_h")  # what wears, or a person would ask for
 FAR = 100.0  # times narrower: what is not determined at all
 AGAIN = ("record the same machine again, with another load, another speed and on another day, and "
          "diagnose all together: what one recording supports is not always there on another day")

@@ -16,14 +16,13 @@ from itertools import chain, combinations
 import numpy as np
 
 from eha_monitor.balances.bends import by_falls
-from eha_monitor.balances.candidates import Candidate, founded
+from eha_monitor.balances.candidates import BENT_DAMPING, FIRST_VIEW, Candidate, founded
 from eha_monitor.balances.least_squares import from_absent, inverse_of, signed_solution
 from eha_monitor.balances.policy import Policy
 from eha_monitor.balances.table import Table
 from eha_monitor.quantity import quantity, share
 
 MOST_TERMS = 8
-FIRST_VIEW = ("F_c", "dM")  # what ten lines of least squares have beside B and F_0
 
 
 @dataclass(frozen=True)
@@ -340,7 +339,7 @@ def _laws_beside(kept: Sequence[str], of: Mapping[str, Candidate], allowed: Sequ
     together as neither is alone.
     """
     kinds = {of[name].kind for name in kept}
-    free = [name for name in (*FIRST_VIEW, "a_1") if name in allowed and name not in kept
+    free = [name for name in (*FIRST_VIEW, BENT_DAMPING) if name in allowed and name not in kept
             and of[name].kind not in kinds]
     yield from chain.from_iterable(combinations(free, count + 1) for count in range(len(free)))
 

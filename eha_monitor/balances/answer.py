@@ -11,6 +11,7 @@ from eha_monitor.balances import places
 from eha_monitor.balances.advice import advice_of
 from eha_monitor.balances.baseline import baseline
 from eha_monitor.balances.candidates import (
+    LINEAR,
     SIDES,
     Scale,
     balances_in,
@@ -31,7 +32,6 @@ from eha_monitor.balances.measured import course_of, courses_of
 from eha_monitor.balances.model import LOAD, Model, of_machine, of_recordings, on_held_out
 from eha_monitor.balances.named import (
     DRY_SYMBOLS,
-    LINEAR,
     config_effects,
     effects_of,
     error_of_area,

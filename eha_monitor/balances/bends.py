@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from eha_monitor.balances.candidates import DRY
+from eha_monitor.balances.candidates import BENT_DAMPING, DRY
 from eha_monitor.balances.least_squares import rms, unexcluded
 from eha_monitor.balances.table import Table
 
@@ -34,7 +34,7 @@ def by_falls(table: Table, names: Sequence[str], values: Sequence[float]) -> np.
     falls = _which(of[name].family == DRY and of[name].upon for name in names)
     dry = _which(of[name].family == DRY and not of[name].upon for name in names)
     # Damping by the square of speed bends the curve as a fall does.
-    bends = falls if falls.any() else _which(name == "a_1" for name in names)
+    bends = falls if falls.any() else _which(name == BENT_DAMPING for name in names)
     seen = dry.any()
     if not seen:
         dry = _which(name == "B" for name in names)

@@ -50,6 +50,15 @@ MASS = 5.0  # times the config's: oil in lines moves with the piston, but not mo
 AIR_EXPONENT = 1.4  # adiabatic
 LAMINAR = 1e4  # Pa: the catalogue's own rounding of a flow at no pressure difference
 DRY = "dry"  # family of dry friction
+# What other rooms ask of a term, by the name that machine files keep.  A new term is looked at for
+# each of these.
+FIRST_VIEW = ("F_c", "dM")  # what ten lines of least squares have beside B and F_0
+BENT_DAMPING = "a_1"  # it bends the curve over speed as a fall of friction does
+LINEAR = ("B", "B_t", "D_p", "C_h", "k_d")  # what the config's own model has; its oil warms
+BASE = ("B", "D_p", "L", "k_d")  # of these, what belongs to the machine and needs no name
+PUMP = ("D_p", "dD_p", "C_h", "C_x", "L", "L_1")  # what tells which chamber a pump acts on
+PLAIN = ("B", "F_0", "F_c", "D_p", "C_h", "L", "k_d")  # that may change within a recording
+WATCHED = ("B", "F_c", "k", "dM", "D_p", "L", "C_h")  # what wears, or a person would ask for
 DEAD_SPEED = 5.0  # rad/s over which a pump's dead zone is rounded
 
 

@@ -23,7 +23,7 @@ import numpy as np
 
 from eha_monitor import ties
 from eha_monitor.balances.alone import alone
-from eha_monitor.balances.candidates import Candidate, Scale, balances_in, candidates_of
+from eha_monitor.balances.candidates import PLAIN, Candidate, Scale, balances_in, candidates_of
 from eha_monitor.balances.contact import contacts_of
 from eha_monitor.balances.course import Course
 from eha_monitor.balances.least_squares import independent, inverse_of, signed_solution
@@ -38,7 +38,6 @@ from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings.monitor import Settings
 from eha_monitor.words import effect_words, listed
 
-PLAIN = ("B", "F_0", "F_c", "D_p", "C_h", "L", "k_d")  # that may change, in the model or not
 BLOCKS = 64  # at most: those of a long recording are joined
 FEWEST, LEAST = 3, 0.15  # blocks on either side, and their share
 DAMPING, DRIFT = "B", "viscous_drift"

@@ -9,13 +9,14 @@ import numpy as np
 from pydantic import TypeAdapter, ValidationError
 
 from eha_monitor.balances.alone import (
-    FIRST_VIEW,
     Refused,
     between_forms,
     form_and_doubts,
     movement,
 )
 from eha_monitor.balances.candidates import (
+    BASE,
+    FIRST_VIEW,
     Candidate,
     Scale,
     balances_in,
@@ -52,7 +53,6 @@ PIECES = 8  # in which fewer recordings than a machine needs are cut, together
 NUMBERS = ("mass", "leakage", "makeup_conductance", "pump_displacement", "position_gain",
            "volume_1", "volume_2", "charge_pressure")
 LEAST = 0.25  # of the typical spread: a few others may agree by chance
-BASE = ("B", "D_p", "L", "k_d")  # what the config's own model has
 LEVELS = (0.05, 0.95)  # quantiles of the force that stand for the load in the flexible reference
 
 

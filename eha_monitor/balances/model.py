@@ -12,7 +12,6 @@ import numpy as np
 from scipy.special import stdtr
 
 from eha_monitor.balances.alone import (
-    FIRST_VIEW,
     Alone,
     Refused,
     alone,
@@ -21,7 +20,7 @@ from eha_monitor.balances.alone import (
     wholes_of,
 )
 from eha_monitor.balances.bends import by_falls
-from eha_monitor.balances.candidates import Candidate, Scale, candidates_of
+from eha_monitor.balances.candidates import FIRST_VIEW, Candidate, Scale, candidates_of
 from eha_monitor.balances.course import Course
 from eha_monitor.balances.learned_curve import NAME as LEARNED
 from eha_monitor.balances.learned_curve import LearnedCurve, learned_curve, with_columns

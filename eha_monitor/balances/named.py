@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from eha_monitor import ties
-from eha_monitor.balances.candidates import DRY, SIDES
+from eha_monitor.balances.candidates import DRY, LINEAR, SIDES
 from eha_monitor.balances.learned_curve import NAME as LEARNED
 from eha_monitor.balances.least_squares import rms
 from eha_monitor.balances.machine import OTHER
@@ -25,7 +25,6 @@ from eha_monitor.settings.monitor import Settings
 from eha_monitor.settings.rig import Rig
 from eha_monitor.words import effect_words, listed
 
-LINEAR = ("B", "B_t", "D_p", "C_h", "k_d")  # what the config's own model has; its oil warms
 TWINS = {"mass": ("pressure_delay",), "pump_displacement": ("pump_flow_gain",),
          "position_gain": ("drive_gain", "command_delay", "position_delay")}
 DRY_SYMBOLS = {"F_c", "F_d"}

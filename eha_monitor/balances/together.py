@@ -17,7 +17,7 @@ from functools import cached_property
 import numpy as np
 
 from eha_monitor import ties
-from eha_monitor.balances.candidates import Scale, flow_candidates, founded
+from eha_monitor.balances.candidates import PUMP, Scale, flow_candidates, founded
 from eha_monitor.balances.course import (
     CHAMBER_1,
     HIGHER,
@@ -43,7 +43,6 @@ ALIKE = 0.9  # correlation beyond which two columns of a family are nearly one
 MOST_TERMS = 10  # a choice that has not ended by then is none
 
 
-PUMP = ("D_p", "dD_p", "C_h", "C_x", "L", "L_1")  # what tells which chamber a pump acts on
 
 
 def of_one_machine(courses: Sequence[Course], rig: Rig, policy: Policy = POLICY) -> list[Course]:
