@@ -10,7 +10,6 @@ from rig_tools import settings, simulated
 from eha_monitor import cli
 from eha_monitor.balances.answer import answered
 from eha_monitor.balances.change_point import change_point, since_change
-from eha_monitor.mismatch.diagnose import diagnose
 from eha_monitor.recordings.write import write_recording
 
 SLOW = {"kind": "sine", "amplitude": 0.02, "frequency": 0.7}
@@ -46,26 +45,26 @@ def test_a_machine_of_one_state_has_none(effects, shape):
     assert change_point(recorded(effects=effects, shape=shape), settings()) is None
 
 
-def test_what_came_before_is_not_in_the_recording_that_is_diagnosed():
+def test_what_came_before_is_not_in_the_recording_that_is_diagnosed(tmp_path, capfd):
     recording = recorded("viscous_damping", 900.0)
     (kept,), (point,) = since_change([recording], settings())
     gone = recording.time < point.since_s
     assert len(kept) == len(recording) and np.isnan(kept.channels["x"][gone]).all()
     assert np.array_equal(kept.channels["x"][~gone], recording.channels["x"][~gone])
-    found = diagnose([recording], settings())
-    assert found.change_points == (point,) and found.message.startswith(point.statement)
-    assert found.after["B"].value == pytest.approx(900.0, rel=0.01)
-    assert all(start >= point.since_s - 0.1 for start, _ in found.location.intervals_s)
 
-
-def test_the_command_says_and_writes_it(tmp_path, capfd):
     bag, out = tmp_path / "bag", tmp_path / "d.json"
-    write_recording(bag, recorded("viscous_damping", 900.0), settings())
+    write_recording(bag, recording, settings())
     assert cli.main(["diagnose", str(bag), "--json", str(out)]) == 0
     said = " ".join(capfd.readouterr().out.split())
     assert "viscous damping rose by" in said and "in the state since" in said
-    (point,) = json.loads(out.read_text())["change_points"]
-    assert point["symbol"] == "B" and point["step"]["value"] == pytest.approx(300.0, rel=0.01)
+    found = json.loads(out.read_text())
+    (written,) = found["change_points"]
+    assert written["symbol"] == "B"
+    assert written["step"]["value"] == pytest.approx(300.0, rel=0.01)
+    assert written["since_s"] == pytest.approx(point.since_s)
+    assert found["message"].startswith(point.statement)
+    assert found["parameters"]["after"]["B"]["value"] == pytest.approx(900.0, rel=0.01)
+    assert all(start >= point.since_s - 0.1 for start, _ in found["location"]["intervals_s"])
 
 
 @pytest.mark.parametrize("drift", [1e4, 3e5])

@@ -11,7 +11,8 @@ DRY = {"coulomb_friction", "stribeck_friction", "presliding_friction", "pressure
 
 
 @pytest.mark.parametrize(("place", "kind", "law"), [
-    (0, "two_pumps", "karnopp"), (2, "two_pumps", "rational"), (6, "equal", "lugre")])
+    (0, "two_pumps", "karnopp"), (2, "two_pumps", "rational"),
+    pytest.param(6, "equal", "lugre", marks=pytest.mark.slow)])
 def test_load_and_dry_friction_of_another_law_are_named_with_their_size(place, kind, law):
     rig = draw_rig(3, place, kind, law)
     setting = next(one for one in rig.settings if one.load)
@@ -54,6 +55,7 @@ def test_dry_friction_of_another_law_is_not_left_to_the_filter_near_its_config_e
     assert low - 2.0 * damping.stddev < damping.value < high + 2.0 * damping.stddev
 
 
+@pytest.mark.slow
 def test_advice_rests_on_the_answer_that_a_diagnosis_gives():
     """Of a law that no filter follows its numbers were advice as well: twice the damping."""
     rig = draw_rig(3, 6, "equal", "lugre")

@@ -77,6 +77,7 @@ def test_a_piece_is_the_same_data_and_is_fitted_where_the_whole_was():
     assert np.array_equal(part.counted[150:], whole.counted[1150:4000])
 
 
+@pytest.mark.slow
 def test_the_whole_answer_on_air_that_enters():
     recording = simulated(SINE, 10.0, faults=AIR).recording(0)
     found = diagnose([recording], settings())

@@ -90,6 +90,7 @@ def test_coulomb_friction_is_named_and_b_is_freed_of_it(rubbing):
     assert first.name not in {one.name for one in found.considered}
 
 
+@pytest.mark.slow
 def test_a_second_motion_of_a_rig_with_dry_friction_begins_with_what_the_first_has_found():
     """What plans the next motion are the sets of a filter, also where least squares answer."""
     case = case_of("coulomb_friction", "drive_lag")

@@ -134,6 +134,7 @@ def forced(friction: float, seconds: float = 12.0):
     return experiment_of([Recording(1e-3, {"x": x, "force": force[::fine]})], settings)
 
 
+@pytest.mark.slow
 def test_a_sensor_that_drifts_through_a_long_recording_is_named():
     """Windows of it are fitted, and in each of them it has drifted since the beginning."""
     recording = simulated(MULTISINE, 32.0).recording(1)

@@ -10,7 +10,6 @@ from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 
 import numpy as np
-from scipy.signal import butter, sosfiltfilt
 
 from eha_monitor.physics import signals as s
 from eha_monitor.quantity import share
@@ -349,10 +348,14 @@ def slope(values: np.ndarray, dt: float) -> np.ndarray:
 @lru_cache(DESIGNS)
 def _sections(cutoff: float, dt: float) -> np.ndarray:
     """Return the second-order sections of the low-pass; a design takes as long as a use of it."""
+    from scipy.signal import butter  # takes half of the start of a command
+
     return butter(4, cutoff, fs=1.0 / dt, output="sos")
 
 
 def low_pass(values: np.ndarray, cutoff: float, dt: float) -> np.ndarray:
     """Return values (n,) or (n, k) behind a Butterworth low-pass of ``cutoff`` Hz, both ways."""
+    from scipy.signal import sosfiltfilt
+
     return sosfiltfilt(_sections(cutoff, dt), values, axis=0,
                        padlen=min(len(values) - 1, round(1.0 / dt)))

@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from itertools import compress
 
 import numpy as np
-from scipy.signal import lfilter
 
 from eha_monitor.balances.course import (
     BAND,
@@ -263,6 +262,8 @@ def _followed(demand: np.ndarray, w: np.ndarray, dt: float) -> np.ndarray:
     made = (1.0 + w[s.DRIVE_GAIN]) * _ahead(demand, -w[s.COMMAND_DELAY], dt)
     made = np.clip(made, -w[s.SPEED_LIMIT], w[s.SPEED_LIMIT])
     if w[s.DRIVE_LAG] > 0.0:
+        from scipy.signal import lfilter  # takes half of the start of a command
+
         pole = np.exp(-dt / w[s.DRIVE_LAG])
         made = lfilter([1.0 - pole], [1.0, -pole], made, zi=[pole * made[0]])[0]
     return made

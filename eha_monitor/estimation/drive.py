@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from scipy.ndimage import correlate1d
 
 from eha_monitor.compiled import njit
 from eha_monitor.estimation.modelled import contributions
@@ -86,6 +85,8 @@ def smoothed(u: np.ndarray, sigma: float, longest: float = LONGEST
     reach, there = np.zeros(len(u), dtype=int), np.isfinite(u)
     if not sigma > 0.0 or not there.any():
         return u, reach
+    from scipy.ndimage import correlate1d  # a fifth of the start of a command
+
     number = np.arange(len(u))
     whole = np.interp(number, number[there], u[there])
     found, low, high = u.copy(), whole - CONFIDENT * sigma, whole + CONFIDENT * sigma

@@ -17,7 +17,6 @@ from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 
 import numpy as np
-from scipy.optimize import lsq_linear
 
 from eha_monitor.estimation.rig_model import VALVES
 from eha_monitor.estimation.sensors import true_position, true_pressure
@@ -303,6 +302,8 @@ def step_within(matrix: np.ndarray, gradient: np.ndarray, bounds: np.ndarray) ->
     low, high = np.minimum(bounds[:, 0], 0.0), np.maximum(bounds[:, 1], 0.0)
     if np.all((inside >= low) & (inside <= high)):
         return inside
+    from scipy.optimize import lsq_linear  # a fifth of the start of a command
+
     root = np.linalg.cholesky(matrix).T
     wide = np.maximum(high, low + np.finfo(float).tiny)
     found = lsq_linear(root, np.linalg.solve(root.T, gradient), (low, wide), "bvls", tol=1e-12,
