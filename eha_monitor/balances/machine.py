@@ -398,7 +398,7 @@ def _balance(kind: str, courses: Sequence[Course], scale: Scale, rig: Rig,
     # What is named is named beside them; what they are on the mean, and their spread, is the
     # machine's.  Parts of one recording have one oil.
     beside = recordings if pieces else Recordings(tables, own_oil=True)
-    chosen, refused = gated(beside, beside.choose(policy, allowed), kind, policy)
+    chosen, refused = gated(beside, allowed, kind, policy)
     fit = recordings.fit(chosen.names)
     between = fit.between
     if pieces:
@@ -501,14 +501,22 @@ def levers_of(tables: Sequence[Table], names: Sequence[str]) -> tuple[float, ...
         for table in tables])) for name in names)
 
 
-def gated(recordings: Recordings, chosen: Chosen, kind: str, policy: Policy
+def gated(recordings: Recordings, allowed: Sequence[str], kind: str, policy: Policy
           ) -> tuple[Chosen, tuple[Refused, ...]]:
-    """Return the choice, or the first view's terms where these leave less on what is left out."""
+    """Return the choice, begun anew from the first view where that leaves less on what is left out.
+
+    Two of its terms may pay only together, and a choice of one after the other finds neither.
+    Where what it comes to leaves more still, the first view's terms stand without names.
+    """
+    chosen = recordings.choose(policy, allowed)
     first = [name for name, one in recordings.candidates.items()
              if one.always or (kind == "force" and name in FIRST_VIEW)]
     errors = recordings.errors(first)
     if rms(chosen.errors) <= rms(errors) + policy.worse:
         return chosen, ()
+    again = recordings.choose(policy, allowed, first)
+    if rms(again.errors) <= rms(errors) + policy.worse:
+        return again, ()
     return Chosen(tuple(first), errors, ()), (Refused(
         "unseen_error", kind, f"least squares leave {share(rms(errors), 2)} of the "
         f"{kind} on recordings left out, what was chosen "

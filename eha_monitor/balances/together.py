@@ -254,10 +254,11 @@ class Recordings:
         error = float(np.sqrt(share**2 @ (d - mean) ** 2 * count / (count - 1)))
         return mean, mean / max(error, 1e-12)
 
-    def choose(self, policy: Policy, allowed: Iterable[str]) -> Chosen:
-        """Choose the terms of the balance among those that are allowed."""
-        names = [one.name for one in self.candidates.values() if one.always]
-        allowed = [name for name in allowed if name not in names]
+    def choose(self, policy: Policy, allowed: Iterable[str], start: Iterable[str] = ()) -> Chosen:
+        """Choose the terms of the balance among those that are allowed, from a start on."""
+        always = [one.name for one in self.candidates.values() if one.always]
+        allowed = [name for name in allowed if name not in always]
+        names = [*always, *(name for name in start if name not in always)]
         errors = self.errors(names)
         tried: dict[tuple[str, ...], str] = {}  # set -> the term that entered it
         spent: set[str] = set()  # what entered led back to where it had been
