@@ -503,7 +503,7 @@ def levers_of(tables: Sequence[Table], names: Sequence[str]) -> tuple[float, ...
 
 def gated(recordings: Recordings, allowed: Sequence[str], kind: str, policy: Policy
           ) -> tuple[Chosen, tuple[Refused, ...]]:
-    """Return the choice, begun anew from the first view where that leaves less on what is left out.
+    """Return the choice; it begins anew from the first view where that leaves less unseen.
 
     Two of its terms may pay only together, and a choice of one after the other finds neither.
     Where what it comes to leaves more still, the first view's terms stand without names.

@@ -115,6 +115,13 @@ def _members(experiment: Experiment, fit: Fit) -> Iterator[Gate]:
                        f"{sure:g} deviations from absent")
 
 
+def shaped(fit: Fit, name: str) -> bool:
+    """Tell whether an effect has a free number beside its sizes: a threshold, an exponent."""
+    entry = CATALOGUE.get(name)
+    return entry is not None and any(f.owner == name and f.symbol not in {
+        p.name for p in entry.sizes} for f in fit.free)
+
+
 def _within(experiment: Experiment, fit: Fit) -> Iterator[Gate]:
     for name in fit.named:
         for size, other in CATALOGUE[name].within if name in CATALOGUE else ():

@@ -8,6 +8,7 @@ import numpy as np
 from eha_monitor import ties
 from eha_monitor.mismatch.data.experiment import JAGGED, SMOOTH, Experiment, resolving
 from eha_monitor.mismatch.data.inputs import FORCED
+from eha_monitor.mismatch.diagnosis import Gate
 from eha_monitor.mismatch.likelihood.along import filtered_tracks
 from eha_monitor.mismatch.likelihood.fit import (
     Fit,
@@ -22,7 +23,7 @@ from eha_monitor.mismatch.likelihood.fit import (
 from eha_monitor.mismatch.name.before import FirstView, informative
 from eha_monitor.mismatch.name.candidates import candidate
 from eha_monitor.mismatch.name.columns import FAR_OFF, LOOSE, rig_free
-from eha_monitor.mismatch.name.gates import ends_of_tolerance, failures, shapes_at_bound
+from eha_monitor.mismatch.name.gates import ends_of_tolerance, failures, shaped, shapes_at_bound
 from eha_monitor.mismatch.name.polish import Slopes, polished
 from eha_monitor.mismatch.name.posterior import (
     STRAYED,
@@ -737,7 +738,7 @@ def gated(experiment: Experiment, refits: Refits) -> None:
     while True:
         best = refits.best()
         fit = refits.fits[best]
-        failed = failures(experiment, fit)
+        failed = not_needed(experiment, refits, best, failures(experiment, fit))
         plain = at_defaults(experiment, fit) if failed else None
         if plain is not None:
             refits.add(experiment, best, plain, anyway=True)
@@ -762,6 +763,25 @@ def gated(experiment: Experiment, refits: Refits) -> None:
                              for one in fit.free)
                 refits.add(experiment, best | {f.name}, settled(experiment, replace(
                     fit, free=free, named=(*fit.named, f.name), converged=False)))
+
+
+def not_needed(experiment: Experiment, refits: Refits, names: Names, failed: Sequence[Gate]
+               ) -> list[Gate]:
+    """Return the gates without those of members that the others cannot do without.
+
+    How far a size is from nil its deviation says where the model is linear in it.  Beside a
+    threshold or an exponent it is not: a valve that holds a pressure does so by any conductance
+    from some on, 1900 +- 3000, and nothing else does.  There the set is fitted without it, from
+    where it stands.
+    """
+    fit, least = refits.fits[names], 0.5 * experiment.policy.sure**2
+    doubtful = [gate for gate in failed if gate.gate == "member" and shaped(fit, gate.what)]
+    if doubtful and refits.parted.get(names) is not fit:
+        refits.parted[names] = fit
+        without(experiment, refits, names)
+    needed = [gate for gate in doubtful if names - {gate.what} in refits.fits and least <= (
+        fit.log_likelihood - refits.fits[names - {gate.what}].log_likelihood)]
+    return [gate for gate in failed if gate not in needed]
 
 
 def at_defaults(experiment: Experiment, fit: Fit) -> Fit | None:
