@@ -11,8 +11,8 @@ from eha_monitor.mismatch.likelihood.fit import Free
 from eha_monitor.mismatch.name.columns import rig_free
 from eha_monitor.mismatch.name.gates import at_bound, ends_of_tolerance, failures
 from eha_monitor.mismatch.name.posterior import Refits
-from eha_monitor.mismatch.name.refit import wide
-from eha_monitor.mismatch.name.select import with_rig, without_along
+from eha_monitor.mismatch.name.refit import settled, wide
+from eha_monitor.mismatch.name.select import not_needed, with_rig, without_along
 from eha_monitor.mismatch.name.starts import starts_of, with_effect
 from eha_monitor.mismatch.policy import POLICY
 from eha_monitor.mismatch.show.held_out import unseen_gates, without_answer
@@ -68,6 +68,26 @@ def test_a_member_that_may_as_well_be_absent_is_refused(deviations, refused):
     covariance[i, i] = (40.0 / deviations) ** 2
     there = replace(moved(fit, coulomb_friction__F_c=40.0), covariance=covariance)
     assert (("member", "coulomb_friction") in gates_of(experiment, there)) == refused
+
+
+@pytest.mark.parametrize("concealed", ["anti_cavitation", "coulomb_friction"])
+def test_a_member_with_a_threshold_is_refused_where_a_refit_without_it_is_no_worse(concealed):
+    """How far off nil its conductance is, no deviation says: beyond some it is all the same."""
+    here = fitted(concealed, motion="rich", told=concealed == "anti_cavitation")
+    fit = here.after
+    if concealed != "anti_cavitation":
+        fit = with_effect(fit, starts_of("anti_cavitation", here.experiment)[0], (1.0,))
+        fit = settled(here.experiment, fit)
+    wide_open = np.eye(len(fit.free)) * 1e-30
+    i = [f.name for f in fit.free].index("anti_cavitation.k")
+    wide_open[i, i] = fit.theta[place_of("anti_cavitation.k")] ** 2 + 1e-30
+    fit = replace(fit, covariance=wide_open)
+    refits, names = Refits(here.experiment.policy), frozenset(fit.named)
+    refits.add(here.experiment, names, fit)
+    failed = [one for one in failures(here.experiment, fit) if one.what == "anti_cavitation"]
+    assert failed and {one.gate for one in failed} <= {"member", "bound"}
+    left = not_needed(here.experiment, refits, names, failed)
+    assert (left == []) == (concealed == "anti_cavitation")
 
 
 def test_a_shape_without_length_is_no_failure():
