@@ -14,7 +14,7 @@ from eha_monitor.mismatch.likelihood.gains import Unknowns
 from eha_monitor.mismatch.name.candidates import RIG, all_named, candidate
 from eha_monitor.mismatch.name.columns import runs_of
 from eha_monitor.mismatch.name.gram import evidences_at
-from eha_monitor.mismatch.name.posterior import plainness, posterior
+from eha_monitor.mismatch.name.posterior import plainness, posterior, refused_evidence
 from eha_monitor.mismatch.name.refit import settled
 from eha_monitor.mismatch.name.select import Search, Selection, finished, lack_of, lacks
 from eha_monitor.mismatch.name.starts import limits_of
@@ -146,9 +146,9 @@ def naming_of(experiment: Experiment, found: Selection, before: Fit) -> Naming:
     after = refits.fits[best]
     gates = tuple(gate for failed in refits.refused.values() for gate in failed)
     # What speaks for a set that no gate lets through speaks for something that has no name, as far
-    # as the answer does not explain it as well.
-    refused = sum(weights.get(names, 0.0) for names in refits.refused
-                  if refits.evidence[names] > refits.evidence[best])
+    # as the answer does not explain it as well, nor the form of its laws.
+    refused = sum(weights.get(names, 0.0) for names, value in refused_evidence(refits).items()
+                  if value > refits.evidence[best])
     weights = {names: weight for names, weight in weights.items() if names not in refits.refused}
     whole = refused + sum(weights.values())
     refused, weights = refused / whole, {names: one / whole for names, one in weights.items()}

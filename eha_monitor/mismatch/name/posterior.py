@@ -205,6 +205,8 @@ def posterior(refits: Refits, views: Sequence[tuple[Names, Sequence[Ranked]]],
     promising : also of what seems better and was never refitted.
     """
     scores = refits.scores()
+    for names, value in refused_evidence(refits).items():
+        scores[names] += refits.score(value, 0.0) - refits.score(refits.evidence[names], 0.0)
     for here, ranking in views:
         own = own_in(ranking, here)
         if own is None:
@@ -228,6 +230,16 @@ def posterior(refits: Refits, views: Sequence[tuple[Names, Sequence[Ranked]]],
     weights = np.array(list(scores.values()))
     weights = np.exp(weights - weights.max())
     return dict(zip(scores, (weights / weights.sum()).tolist(), strict=True))
+
+
+def refused_evidence(refits: Refits) -> dict[Names, float]:
+    """Return the evidence of sets that no gate lets through, beyond the form error of the answer.
+
+    They may fit by what its laws have wrong.
+    """
+    least = refits.evidence[refits.best()]
+    form = refits.policy.law * (least - refits.evidence.get(frozenset(), least))
+    return {names: beyond(refits.evidence[names], least, form) for names in refits.refused}
 
 
 def evidence_at_start(refits: Refits, here: Names) -> float:
