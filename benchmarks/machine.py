@@ -24,6 +24,7 @@ from eha_monitor.balances.alone import alone
 from eha_monitor.balances.answer import answered
 from eha_monitor.balances.baseline import baseline
 from eha_monitor.balances.candidates import Scale, candidates_of
+from eha_monitor.balances.circuit import one_side_is_held
 from eha_monitor.balances.least_squares import rms
 from eha_monitor.balances.machine import Machine, machine_from
 from eha_monitor.balances.measured import course_of
@@ -124,10 +125,13 @@ def on_the_other_day(machine: Machine, courses: list, settings) -> dict:
 
 
 def strangers(seed: int, rigs: int) -> dict:
-    """Return shares of numbers inside two deviations and of right names, by the balances alone."""
+    """Return shares of numbers inside two deviations and of right names, by the balances alone.
+
+    And of single rods, whether they are seen to be on an accumulator.
+    """
     inside: dict[str, list[bool]] = {key: [] for key in (
         "first", "B", "D_p", "F_0", "names_alone", "names_together", "B_alone", "F_0_alone",
-        "F_c_alone", "F_d_alone")}
+        "F_c_alone", "F_d_alone", "circuit")}
     for i in range(rigs):
         rig = draw_rig(seed, i)
         made = [recorded(rig, setting, seed + k) for k, setting in enumerate(rig.settings)]
@@ -135,6 +139,9 @@ def strangers(seed: int, rigs: int) -> dict:
         settings = made[0][1]
         for (one, _), truth in zip(made, truths, strict=True):
             answer = answered([one], settings)
+            if rig.kind != "equal":
+                inside["circuit"].append(one_side_is_held(
+                    course_of(one, settings), settings.rig) == (rig.kind == "rod_accumulator"))
             inside["names_alone"].append(named_rightly(answer, truth))
             for symbol, right in sizes_inside(answer, truth):
                 inside[f"{symbol}_alone"].append(right)

@@ -293,6 +293,9 @@ def _gain(answers: Answers, seen: Seen) -> Entry:
 def _makeup(answers: Answers) -> Entry:
     if "makeup_conductance" in answers.rig:
         return _answered(answers, "makeup_conductance")
+    if answers.rig.get("machine") == "accumulator":
+        return Entry("makeup_conductance", "0.0", "answered: an accumulator, or check valves, hold"
+                     " one side's pressure; no path of a conductance")
     default = Rig.model_fields["makeup_conductance"].default
     leakage = answers.number("leakage")
     if leakage is not None and leakage < default:

@@ -25,7 +25,12 @@ from eha_monitor.balances.policy import POLICY, Policy
 from eha_monitor.breakdown import computing
 from eha_monitor.estimation.hold_choice import resolved
 from eha_monitor.mismatch.advise import advice as advise
-from eha_monitor.mismatch.data.experiment import Experiment, by_balances, experiment_of
+from eha_monitor.mismatch.data.experiment import (
+    Experiment,
+    by_balances,
+    experiment_of,
+    has_matched_pumps,
+)
 from eha_monitor.mismatch.diagnosis import (
     Considered,
     Diagnosis,
@@ -88,6 +93,9 @@ FINER = ("With these effects in the config (diagnose --write-config FILE, then -
 UNNAMED = ("A filter still sees more than the sensors' noise, too little for a balance of forces "
            "or flows and with no name: compare with a healthy recording of this machine (diagnose "
            "--reference) rather than with its config.")
+HELD = ("The pressure of one side is held, by an accumulator or check valves: one pump turns, and "
+        "not two that match the areas, so the balances answer; set rig.makeup_conductance: 0 "
+        "(docs/machines.md).")
 Report = Callable[[str, float], None]
 
 
@@ -149,8 +157,10 @@ def _diagnosed(recordings: list[Recording], settings: Settings, held_out: Record
                vary: tuple[str, ...], known: Sequence[Fit] | None = None) -> Answered:
     if by_balances(recordings, settings):
         say("least squares on the balances", 0.1)
-        return Answered(answered(recordings, settings, Asked(
-            held_out, hypothesis, without, vary)), None, False)
+        found = answered(recordings, settings, Asked(held_out, hypothesis, without, vary))
+        if has_matched_pumps(settings):
+            found = replace(found, advice=(HELD, *found.advice))
+        return Answered(found, None, False)
     started = time.perf_counter()
     say("least squares on the balances", 0.02)
     first = first_answer(recordings, settings, Asked(held_out, None, without, vary))

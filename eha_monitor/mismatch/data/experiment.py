@@ -6,6 +6,8 @@ from threading import Lock
 
 import numpy as np
 
+from eha_monitor.balances import measured
+from eha_monitor.balances.circuit import one_side_is_held
 from eha_monitor.errors import InputError
 from eha_monitor.estimation.hold_choice import at_followed_gain
 from eha_monitor.estimation.rig_model import force_of
@@ -284,15 +286,30 @@ def by_balances(recordings: Sequence[Recording], settings: Settings) -> bool:
     it, that question has a wrong answer: a model with a false mass, which does not respond to the
     noise, wins.  So it has where the motion answers to the force within a sample, so that there is
     nothing to integrate, and around a single-rod cylinder whose circuit (valves, an accumulator)
-    the config does not hold, so that the model does not know the mean pressure.
+    the config does not hold, so that the model does not know the mean pressure, or is another
+    than that of pumps which match the areas (:func:`one_side_is_held`).
     """
     rig = settings.rig
     if mode_of(recordings[0], settings) == FORCED:
         quick = settings.stage_one.prior / rig.mass * rig.sample_time > 1.0
         return quick or noise_governs([force_of(rig, sample_of(one).channels)
                                        for one in recordings])
-    return (rig.area_1 != rig.area_2 and rig.makeup_conductance == 0.0
-            and all(one.has("p1", "p2", "omega") for one in recordings))
+    return (rig.area_1 != rig.area_2 and all(one.has("p1", "p2", "omega") for one in recordings)
+            and (not has_matched_pumps(settings)
+                 or all(_on_another_circuit(one, settings) for one in recordings)))
+
+
+def has_matched_pumps(settings: Settings) -> bool:
+    """Tell whether the config's circuit around a single rod is that of pumps that match areas."""
+    rig = settings.rig
+    return rig.area_1 != rig.area_2 and rig.makeup_conductance > 0.0
+
+
+def _on_another_circuit(recording: Recording, settings: Settings) -> bool:
+    try:
+        return one_side_is_held(measured.course_of(recording, settings), settings.rig)
+    except InputError:  # of a motion that balances cannot take they say nothing
+        return False
 
 
 def wants_speed(recording: Recording) -> bool:

@@ -237,9 +237,15 @@ def refused_evidence(refits: Refits) -> dict[Names, float]:
 
     They may fit by what its laws have wrong.
     """
-    least = refits.evidence[refits.best()]
-    form = refits.policy.law * (least - refits.evidence.get(frozenset(), least))
-    return {names: beyond(refits.evidence[names], least, form) for names in refits.refused}
+    best = refits.best()
+    return {names: beyond(refits.evidence[names], refits.evidence[best], form_error(refits, best))
+            for names in refits.refused}
+
+
+def form_error(refits: Refits, names: Names) -> float:
+    """Return how many log units may be what the laws of a set have wrong."""
+    gained = refits.evidence[names] - refits.evidence.get(frozenset(), refits.evidence[names])
+    return refits.policy.law * max(gained, 0.0)
 
 
 def evidence_at_start(refits: Refits, here: Names) -> float:

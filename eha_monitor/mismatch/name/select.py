@@ -4,6 +4,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from scipy.special import chdtri, erfc
 
 from eha_monitor import ties
 from eha_monitor.mismatch.data.experiment import JAGGED, SMOOTH, Experiment, resolving
@@ -30,6 +31,7 @@ from eha_monitor.mismatch.name.posterior import (
     Names,
     Refits,
     evidence_at_start,
+    form_error,
     plainness,
 )
 from eha_monitor.mismatch.name.proposals import (
@@ -772,16 +774,22 @@ def not_needed(experiment: Experiment, refits: Refits, names: Names, failed: Seq
     How far a size is from nil its deviation says where the model is linear in it.  Beside a
     threshold or an exponent it is not: a valve that holds a pressure does so by any conductance
     from some on, 1900 +- 3000, and nothing else does.  There the set is fitted without it, from
-    where it stands.
+    where it stands, and has to lose what ``sure`` deviations of all its numbers are
+    (likelihood-ratio test, Wilks 1938), and more than the others' laws may have wrong.
     """
-    fit, least = refits.fits[names], 0.5 * experiment.policy.sure**2
+    def needed(name: str) -> bool:
+        rest = refits.fits.get(names - {name})
+        surely = 0.5 * chdtri(sum(f.owner == name for f in fit.free),
+                              erfc(experiment.policy.sure / np.sqrt(2.0)))
+        return rest is not None and fit.log_likelihood - rest.log_likelihood >= max(
+            surely, form_error(refits, names))
+
+    fit = refits.fits[names]
     doubtful = [gate for gate in failed if gate.gate == "member" and shaped(fit, gate.what)]
     if doubtful and refits.parted.get(names) is not fit:
         refits.parted[names] = fit
         without(experiment, refits, names)
-    needed = [gate for gate in doubtful if names - {gate.what} in refits.fits and least <= (
-        fit.log_likelihood - refits.fits[names - {gate.what}].log_likelihood)]
-    return [gate for gate in failed if gate not in needed]
+    return [gate for gate in failed if gate not in doubtful or not needed(gate.what)]
 
 
 def at_defaults(experiment: Experiment, fit: Fit) -> Fit | None:
