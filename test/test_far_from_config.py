@@ -1,11 +1,17 @@
 """Rigs whose config is far from them: what least squares on the balances say is the answer."""
 
+from dataclasses import replace
+
 import pytest
+from mismatch_tools import recorded
 from strangers.draw import draw_rig
 from strangers.generate import record, settings_of, truth_of
 
+from eha_monitor.balances.answer import Asked, first_answer
+from eha_monitor.concealed.cases import Case
 from eha_monitor.mismatch.advise.advice import advise
-from eha_monitor.mismatch.diagnose import FINER, diagnose
+from eha_monitor.mismatch.diagnose import FINER, diagnose, needs_fewer
+from eha_monitor.mismatch.diagnosis import NamedEffect, Value
 
 DRY = {"coulomb_friction", "stribeck_friction", "presliding_friction", "pressure_friction"}
 
@@ -67,3 +73,22 @@ def test_advice_rests_on_the_answer_that_a_diagnosis_gives():
     assert abs(damping.value - truth_of(rig, setting)["B_span"][0]) < 2.0 * damping.stddev
     assert abs(load.value - setting.load) < 2.0 * load.stddev
     assert found.tried and found.said  # and a motion is looked for around what was named
+
+
+@pytest.mark.parametrize("sensor, fewer", [
+    ({"position_scale": {"k": 0.03, "in_loop": 0.0}}, True),
+    ({"pressure_scale": {"k_1": 0.03, "k_2": 0.03}}, False)])
+def test_sensors_that_a_filter_calls_wrong_are_right_where_fewer_names_are_needed(sensor, fewer):
+    """A position that is 3 % too large reads as a softer spring, and as a drive that lags."""
+    recording, settings = recorded(Case("test", (("position_scale", 1.0), ("spring_load", 1.0)),
+                                        motion="triangle", seed=3))
+    asked = Asked(None, None, (), ())
+    first = first_answer([recording], settings, asked)
+    assert len(first.effects) > 2
+    (name, values), = sensor.items()
+    found = replace(first, config_effects=sensor, effects=(NamedEffect(
+        name, "sensor", name, {key: Value(value, 0.0, "1") for key, value in values.items()},
+        100.0, (), "", "", ""),))
+    assert needs_fewer(found, first, [recording], settings, asked) == fewer
+    assert not needs_fewer(replace(found, effects=first.effects), first, [recording], settings,
+                           asked)

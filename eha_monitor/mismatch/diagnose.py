@@ -192,7 +192,8 @@ def _diagnosed(recordings: list[Recording], settings: Settings, held_out: Record
             first, found, judges, experiment.settings)):
         return Answered(by_first(first, started), naming, False)
     apart = () if hypothesis is not None or first is None else contradicted(first, found)
-    if apart and not defends(found, first, judges, experiment.settings):
+    if apart and not (defends(found, first, judges, experiment.settings) or needs_fewer(
+            found, first, recordings, settings, Asked(held_out, None, without, vary))):
         return Answered(by_first(replace(first, gates=(*first.gates, *apart)), started), naming,
                         False)
     # Innovations of another form than the config's laws are no mismatch of this machine, and no
@@ -238,6 +239,30 @@ def defends(found: Diagnosis, first: Diagnosis, recordings: list[Recording], set
     move its numbers: less than ``open`` of what they leave is enough.
     """
     return explains_more(found, first, recordings, settings, policy, policy.open)
+
+
+def needs_fewer(found: Diagnosis, first: Diagnosis, recordings: list[Recording],
+                settings: Settings, asked: Asked, policy: Policy = POLICY) -> bool:
+    """Tell whether the recordings need fewer names with the sensors as a filter says they err.
+
+    Least squares read the sensors as they are: a position that is 3 % too large is a spring that
+    is 3 % too soft, and a drive that lags.  Corrected, the balances have to leave no more of any
+    signal, with fewer names in all; a scale in the place of a load saves none.
+    """
+    sensors = {one.name: found.config_effects[one.name] for one in found.effects
+               if one.balance == "sensor" and one.name in found.config_effects}
+    if not sensors:
+        return False
+    again = first_answer(recordings, settings.model_copy(update={
+        "effects": {**settings.effects, **sensors}}), asked)
+
+    def names(answer: Diagnosis) -> int:
+        return len(answer.effects) + len(answer.rig_data)
+
+    return again is not None and names(again) + len(sensors) < names(first) and all(
+        name in again.signals and again.signals[name].after_rms <= (
+            one.after_rms + policy.worse * one.signal_rms)
+        for name, one in first.signals.items())
 
 
 def left_of_force(answer: Diagnosis, recordings: list[Recording], settings: Settings) -> float:
