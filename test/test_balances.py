@@ -11,7 +11,7 @@ from scipy.signal import lfilter
 from test_filters_effects import CASES, recording_of
 
 from eha_monitor.balances.alone import alone
-from eha_monitor.balances.answer import Asked, answered
+from eha_monitor.balances.answer import Asked, _agreeing_words, answered
 from eha_monitor.balances.baseline import baseline
 from eha_monitor.balances.candidates import (
     BALANCES,
@@ -37,6 +37,7 @@ from eha_monitor.balances.table import pooled_table, tables_of
 from eha_monitor.balances.together import of_one_machine
 from eha_monitor.concealed.cases import Case
 from eha_monitor.mismatch.diagnose import diagnose
+from eha_monitor.mismatch.diagnosis import RigFinding, Value, beside_config
 from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.quantity import quantity
 from eha_monitor.recordings import columns
@@ -78,6 +79,16 @@ def test_each_effect_has_a_column_or_a_reason(settings):
     needed = {name for name, effect in CATALOGUE.items() if effect.balance != "sensor"}
     assert needed - present == set(WITHOUT_COLUMN), (
         "balances/candidates.py, or a reason here (docs/effects.md, An entry of the catalogue)")
+
+
+def test_a_number_that_is_moved_within_its_tolerance_is_in_the_answer():
+    """Of a leakage known to a factor of three, ten times as much is no mismatch, and is said."""
+    found = Value(1.6e-11, 4e-13, "m³/(s·Pa)")
+    statement = beside_config("leakage", 1e-12, found)
+    assert statement.endswith("(C_T, twice the flow over the pressure difference)")
+    said = _agreeing_words([], [RigFinding("leakage", 1e-12, found, np.nan, statement)], POLICY)
+    assert "if leakage is 960 ± 24 ml/(min·MPa), where it has 60 ml/(min·MPa)" in said
+    assert "if" not in _agreeing_words([], [], POLICY)
 
 
 def test_what_is_asked_of_terms_by_name_is_asked_of_terms_that_there_are(settings):

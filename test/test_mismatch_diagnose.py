@@ -16,10 +16,11 @@ from eha_monitor.mismatch.diagnose import (
     diagnose,
     diagnose_and_name,
     explains_more,
+    held_command,
     is_answer,
     verdict_of,
 )
-from eha_monitor.mismatch.diagnosis import VERDICTS, Diagnosis, SignalFit
+from eha_monitor.mismatch.diagnosis import VERDICTS, Diagnosis, SignalFit, Value
 from eha_monitor.mismatch.holds import gained_under, late_as_held, nominal_of, searched
 from eha_monitor.mismatch.name.before import informative
 from eha_monitor.mismatch.name.naming import Naming
@@ -377,3 +378,12 @@ def test_a_time_of_half_a_sample_may_be_a_hold(effect, samples, held):
     assert late_as_held(Naming(found.experiment, found.before, fit)) is held
     bare = Naming(found.experiment, found.before, replace(fit, named=()))
     assert not late_as_held(bare)
+
+
+@pytest.mark.parametrize("name, late, stddev, held", [
+    ("command_delay", 0.51e-3, 0.03e-3, True), ("feedback_delay", 0.55e-3, 0.03e-3, True),
+    ("command_delay", 0.70e-3, 0.03e-3, False), ("position_delay", 0.50e-3, 0.03e-3, False),
+    ("command_delay", 0.50e-3, 0.30e-3, False)])  # known no better, it may be anything
+def test_a_delay_of_half_a_sample_may_be_a_digital_controller(name, late, stddev, held):
+    said = held_command(name, {"T": Value(late, stddev, "s")}, 1e-3)
+    assert ("holds its command" in said) == held

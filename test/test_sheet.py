@@ -2,10 +2,12 @@
 
 import numpy as np
 import pytest
+from mismatch_tools import recorded
 from rig_tools import settings
 from test_plausibility import MULTISINE, OTHER, changed, made, with_rig
 
 from eha_monitor.balances.baseline import baseline
+from eha_monitor.concealed.cases import Case
 from eha_monitor.plausibility.sheet import against_sheet
 
 RECORDING, CONFIG = made(MULTISINE, 12.0, **(OTHER | {"sample_time": 1e-3}))
@@ -91,3 +93,14 @@ def test_a_unit_that_the_config_writes_was_not_taken_for_another(unit, hint):
     columns = {name: {"column": name, "unit": unit} for name in ("p1", "p2")}
     (sentence,) = said(config=settings(**tree | {"table": {"columns": columns}}))
     assert ("pressures in psi that are taken for kPa" in sentence) == hint
+
+
+@pytest.mark.parametrize("effects, factor, told", [
+    ((), 1.4, True), ((("coulomb_friction", 1.0),), 1.4, False),
+    ((("coulomb_friction", 1.0),), 4.0, True)])
+def test_seals_that_turn_with_the_piston_make_no_mass_wrong(effects, factor, told):
+    """Least squares have 30.9 +- 0.5 kg of 34.3 beside bristles, and no channel is late."""
+    recording, config = recorded(Case("test", effects, motion="rich", seed=3))
+    rig = config.rig.model_copy(update={"mass": factor * config.rig.mass})
+    lines = said(recording, config.model_copy(update={"rig": rig}))
+    assert any("moving mass" in line for line in lines) == told

@@ -61,7 +61,7 @@ from eha_monitor.mismatch.diagnosis import (
     Value,
     health_sentences,
 )
-from eha_monitor.quantity import quantity, share, with_uncertainty
+from eha_monitor.quantity import quantity, share, side_by_side, with_uncertainty
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings.hypothesis import Hypothesis
 from eha_monitor.settings.monitor import Settings
@@ -265,7 +265,7 @@ def _composed(models: Sequence[Model], courses: Sequence[Course], settings: Sett
           for one in open_),
         *(term.message for term in learned.values()),
         *map(_unsure_words, [one for one in unsure if one.balance not in nameless])]) or (
-        _agreeing_words(models, policy))
+        _agreeing_words(models, within, policy))
     return Diagnosis(
         (), verdict, message, where, tuple(effects), before, after, "held_out",
         {one.balance: SignalFit(SIDES[one.balance], one.nominal_error * one.size,
@@ -297,11 +297,19 @@ def _warmed(models: Sequence[Model], policy: Policy) -> tuple[str, ...]:
             f"{'the usual' if drift.each else 'the'} recording, as in oil that warms or cools",)
 
 
-def _agreeing_words(models: Sequence[Model], policy: Policy) -> str:
-    """Return that nothing is missing that has a name, and what is left all the same."""
+def _agreeing_words(models: Sequence[Model], within: Sequence[RigFinding], policy: Policy) -> str:
+    """Return that nothing is missing that has a name, and what is left all the same.
+
+    A number that may be what it is, by its tolerance, is told: a leakage known to a factor of
+    three hides one that is ten times as large.
+    """
     left = [f"{share(one.error, 2)} of the {one.balance}" for one in models
             if one.error > max(policy.worse, policy.clean * one.floor / one.size)]
+    moved = [f"{one.key} is {other}, where it has {given}" for one in within
+             for given, other in [side_by_side(one.configured, one.found.value, one.found.stddev,
+                                               one.found.unit)]]
     return "the config's own model explains the balances of this recording" + (
+        f", if {listed(moved)} (within its tolerance)" if moved else "") + (
         f" but for {listed(left)}, of which no effect of the catalogue explains more" if left
         else "")
 

@@ -1,7 +1,7 @@
 """The diagnosis from end to end: locate, name, model, show, advise."""
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
 from typing import NamedTuple
@@ -533,10 +533,24 @@ def named_effect(experiment: Experiment, naming: Naming, name: str, tracks: list
                                        p.unit.replace("*", "·"))
         elif np.isfinite(value):
             parameters[p.name] = Value(value, 0.0, p.unit.replace("*", "·"))
-    return NamedEffect(name, entry.balance, entry.said(numbers), parameters,
-                       naming.evidence[name], rivals_of(experiment, naming, name), entry.equation,
-                       entry.rig_check, size_of(experiment, fit, name, tracks),
+    said = entry.said(numbers) + held_command(name, parameters, experiment.dt)
+    return NamedEffect(name, entry.balance, said, parameters, naming.evidence[name],
+                       rivals_of(experiment, naming, name), entry.equation, entry.rig_check,
+                       size_of(experiment, fit, name, tracks),
                        naming.probability.get(name, np.nan))
+
+
+def held_command(name: str, parameters: Mapping[str, Value], dt: float) -> str:
+    """Return that a delay of half a sample is a digital controller's, in words; "" of another.
+
+    One that computes its command once in a sample, of both its inputs, and holds it is half a
+    sample late on average.
+    """
+    late = parameters.get("T")
+    if name not in ("command_delay", "feedback_delay") or late is None or not (
+            abs(late.value - 0.5 * dt) <= POLICY.varied * late.stddev < 0.5 * dt):
+        return ""
+    return ", half a sample: so does a controller that holds its command over each sample"
 
 
 def intermittent(naming: Naming) -> NamedEffect:

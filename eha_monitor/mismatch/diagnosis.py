@@ -81,7 +81,9 @@ class RigFinding:
 def beside_config(key: str, configured: float, found: Value) -> str:
     """Return what the config says of a number of the rig, and what the recording, in words."""
     one, other = side_by_side(configured, found.value, found.stddev, found.unit)
-    return f"{key}: the config says {one}, the recording {other}"
+    said = f"{key}: the config says {one}, the recording {other}"
+    twice = " (C_T, twice the flow over the pressure difference)"
+    return said + twice * (key == "leakage")
 
 
 def within_words(moved: float, spread: float) -> str:

@@ -20,6 +20,7 @@ from eha_monitor.settings.rig import rounded
 
 APART = 2.0  # deviations of both numbers from which on they contradict each other
 OPEN = 0.05  # of a balance: with more unexplained, its mass may be something else
+TURNING = 2.0  # times the mass or its inverse, that seals which turn round with the piston read as
 LATEST = 0.03  # s: later than that no filter makes a pressure
 
 
@@ -77,6 +78,8 @@ def _sizes(first: Baseline, settings: Settings) -> list[str]:
     rig = settings.rig
     mass, area = rig.tolerance.mass, rig.tolerance.area_1
     heavy = _off(first.force, "M", rig.mass, hypot(mass, area))
+    if heavy and _rubs(first.force) and abs(log(heavy[0].value / heavy[1])) < log(TURNING):
+        heavy = None
     pumped = _off(first.flow, "D_p", rig.pump_displacement,
                   hypot(rig.tolerance.pump_displacement, area))
     if heavy and pumped:
@@ -107,6 +110,12 @@ def _off(fit: BalanceFit | None, name: str, given: float | None, tolerance: floa
         return None
     return (term, given) if abs(log(term.value / given)) > APART * hypot(
         _share(term), tolerance) else None
+
+
+def _rubs(fit: BalanceFit) -> bool:
+    """Tell whether there is dry friction, which turns round where the acceleration is largest."""
+    dry = fit["F_c"]
+    return dry.determined and dry.value > 3.0 * dry.stddev
 
 
 def _share(term: Term) -> float:
