@@ -1,5 +1,7 @@
 """B, beta_e and leakage at once, and what each set of channels can tell."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from rig_tools import (
@@ -60,6 +62,14 @@ def test_another_leakage_than_configured_is_found():
     joint = estimate(recording, settings()).joint
     assert joint.parameters["L"].value == pytest.approx(2e-12, rel=0.03)
     assert joint.parameters["beta_e"].value == pytest.approx(BETA, rel=0.01)
+
+
+def test_what_one_number_has_run_away_with_is_in_the_others(found):
+    whole = next(iter(found.values()))[1]
+    assert whole.joint_doubt == ""
+    lost = replace(whole.joint.parameters["beta_e"], status="diverged")
+    joint = replace(whole.joint, parameters=whole.joint.parameters | {"beta_e": lost})
+    assert replace(whole, joint=joint).joint_doubt == "βe diverged in the joint filter"
 
 
 def test_without_pressures_or_speed_there_is_no_joint_answer(found):

@@ -496,7 +496,8 @@ def flow_candidates(scale: Scale, rig: Rig) -> tuple[Candidate, ...]:
             lambda c, r: c.of_pump(c.omega), always=True, between=0.02, power=1.0,
             twins=("position_scale",)),
         one("dD_p", "pump_loss_by_direction", "m³/rad", "further displacement where it retracts",
-            0, lambda c, r: c.of_pump(np.minimum(c.omega, 0.0)), odd=False, power=1.0),
+            0, lambda c, r: c.of_pump(np.minimum(c.omega, 0.0)), odd=False, power=1.0,
+            twins=("pump_volumetric_loss",)),  # at one load pressure goes with direction
         one("C_h", "compliance", "m³/Pa", "compliance of chamber 1 at x = 0", 1,
             lambda c, r: -_pressed(c, r), family="compliance", power=1.0),
         one("alpha", "entrained_air", "1", "share of air, at atmospheric pressure", 1, _air,

@@ -11,6 +11,7 @@ import numpy as np
 from eha_monitor.quantity import FLOOR, SYMBOLS, quantity, share, with_uncertainty
 from eha_monitor.recordings.recording import ChannelFinding, Recording
 from eha_monitor.settings.monitor import Settings
+from eha_monitor.words import listed
 
 CONVERGED = 0.10  # relative standard deviation
 GAINED = 2.0  # so many times sharper than the prior, or the motion has told nothing
@@ -331,6 +332,10 @@ class Estimate:
             return ""
         if "B" in self.model.tainted:
             return "the force balance does not fit"
+        lost = [SYMBOLS.get(name, name) for name, p in self.joint.parameters.items()
+                if p.status == "diverged"]
+        if lost:  # what one of them has run away with, the others have taken up
+            return f"{listed(lost)} diverged in the joint filter"
         return (f"the joint filter's innovations are off, NIS {self.joint.nis:.3g}"
                 if self.joint.nis > LARGEST_NIS else "")
 
