@@ -309,7 +309,7 @@ def _agreeing_words(models: Sequence[Model], within: Sequence[RigFinding], polic
              for given, other in [side_by_side(one.configured, one.found.value, one.found.stddev,
                                                one.found.unit)]]
     return "the config's own model explains the balances of this recording" + (
-        f", if {listed(moved)} (within its tolerance)" if moved else "") + (
+        f", if {listed(moved)} (within three tolerances)" if moved else "") + (
         f" but for {listed(left)}, of which no effect of the catalogue explains more" if left
         else "")
 
