@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from mismatch_tools import fitted
 
-from eha_monitor.mismatch.diagnosis import SignalFit
+from eha_monitor.mismatch.diagnosis import Gate, SignalFit
 from eha_monitor.mismatch.likelihood.fit import Free
 from eha_monitor.mismatch.name.columns import rig_free
 from eha_monitor.mismatch.name.gates import at_bound, ends_of_tolerance, failures
-from eha_monitor.mismatch.name.posterior import Refits
+from eha_monitor.mismatch.name.posterior import Refits, refused_evidence
 from eha_monitor.mismatch.name.refit import settled, wide
 from eha_monitor.mismatch.name.select import not_needed, with_rig, without_along
 from eha_monitor.mismatch.name.starts import starts_of, with_effect
@@ -197,3 +197,13 @@ def test_errors_that_grow_together_are_refused_and_nothing_known_is_not():
 def test_without_an_answer_the_nominal_model_is_shown():
     shown = without_answer({"position": signal(0.5, 0.3)})["position"]
     assert shown.after_rms == shown.before_rms == 0.5
+
+
+@pytest.mark.parametrize("gained, counts", [(-5.0, -5.0), (30.0, 0.0), (500.0, 495.0)])
+def test_what_a_refused_set_gains_counts_beyond_the_form_of_the_laws(gained, counts):
+    """The answer explains 1000 log units, of which its laws may have 50 wrong."""
+    refits, best, other = Refits(POLICY), frozenset({"pump_dead_zone"}), frozenset({"added_mass"})
+    refits.evidence = {frozenset(): -1000.0, best: 0.0, other: gained}
+    refits.left = dict.fromkeys(refits.evidence, 0.0)
+    refits.refused[other] = (Gate("bound", "added_mass", "at the end of its range"),)
+    assert refused_evidence(refits) == {other: pytest.approx(counts)}
