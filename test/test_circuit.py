@@ -36,6 +36,18 @@ def test_a_config_of_two_pumps_on_another_circuit_is_judged_by_the_balances():
     assert diagnose([recording], settings).advice[0] == HELD
 
 
+def test_a_force_that_the_balances_judge_says_nothing_of_the_circuit():
+    """Where no pump is recorded, nobody has seen which side it presses."""
+    recording, settings = drawn(ACCUMULATOR[0])
+    rig = settings.rig.model_copy(update={"makeup_conductance": 1e-13, "leakage": 1e-12})
+    moved = replace(recording, channels={
+        name: recording.channels[name] for name in ("x", "p1", "p2")})
+    one = settings.stage_one.model_copy(update={"prior": 10.0 * rig.mass / rig.sample_time})
+    settings = settings.model_copy(update={"rig": rig, "stage_one": one})
+    assert by_balances([moved], settings)  # it answers to the force within a sample
+    assert HELD not in diagnose([moved], settings).advice
+
+
 def test_two_pumps_are_left_to_the_filter():
     recording, settings = drawn(TWO_PUMPS[1])
     assert settings.rig.makeup_conductance > 0.0 and not by_balances([recording], settings)

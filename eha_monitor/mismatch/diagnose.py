@@ -28,8 +28,8 @@ from eha_monitor.mismatch.advise import advice as advise
 from eha_monitor.mismatch.data.experiment import (
     Experiment,
     by_balances,
+    by_held_side,
     experiment_of,
-    has_matched_pumps,
 )
 from eha_monitor.mismatch.diagnosis import (
     Considered,
@@ -158,12 +158,13 @@ def _diagnosed(recordings: list[Recording], settings: Settings, held_out: Record
     if by_balances(recordings, settings):
         say("least squares on the balances", 0.1)
         found = answered(recordings, settings, Asked(held_out, hypothesis, without, vary))
-        if has_matched_pumps(settings):
+        if by_held_side(recordings, settings):
             found = replace(found, advice=(HELD, *found.advice))
         return Answered(found, None, False)
     started = time.perf_counter()
     say("least squares on the balances", 0.02)
-    first = first_answer(recordings, settings, Asked(held_out, None, without, vary))
+    asked = Asked(held_out, None, without, vary)
+    first = first_answer(recordings, settings, asked)
     far = hypothesis is None and far_from_config(first)
     # Several say more together than a filter of one law can.
     if far and first.machine is not None and known is None:
@@ -192,8 +193,8 @@ def _diagnosed(recordings: list[Recording], settings: Settings, held_out: Record
             first, found, judges, experiment.settings)):
         return Answered(by_first(first, started), naming, False)
     apart = () if hypothesis is not None or first is None else contradicted(first, found)
-    if apart and not (defends(found, first, judges, experiment.settings) or needs_fewer(
-            found, first, recordings, settings, Asked(held_out, None, without, vary))):
+    if apart and not (defends(found, first, judges, experiment.settings)
+                      or needs_fewer(found, first, recordings, settings, asked)):
         return Answered(by_first(replace(first, gates=(*first.gates, *apart)), started), naming,
                         False)
     # Innovations of another form than the config's laws are no mismatch of this machine, and no

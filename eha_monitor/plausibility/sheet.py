@@ -12,6 +12,7 @@ from itertools import permutations
 from math import hypot, inf, log
 
 from eha_monitor.balances.baseline import BalanceFit, Baseline, Term
+from eha_monitor.balances.policy import POLICY
 from eha_monitor.plausibility.judge import units_in
 from eha_monitor.plausibility.mistakes import PRESSURES
 from eha_monitor.quantity import number, quantity, with_uncertainty
@@ -115,7 +116,7 @@ def _off(fit: BalanceFit | None, name: str, given: float | None, tolerance: floa
 def _rubs(fit: BalanceFit) -> bool:
     """Tell whether there is dry friction, which turns round where the acceleration is largest."""
     dry = fit["F_c"]
-    return dry.determined and dry.value > 3.0 * dry.stddev
+    return dry.determined and POLICY.sure(dry.value, dry.stddev)
 
 
 def _share(term: Term) -> float:

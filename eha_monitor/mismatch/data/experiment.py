@@ -295,14 +295,17 @@ def by_balances(recordings: Sequence[Recording], settings: Settings) -> bool:
         return quick or noise_governs([force_of(rig, sample_of(one).channels)
                                        for one in recordings])
     return (rig.area_1 != rig.area_2 and all(one.has("p1", "p2", "omega") for one in recordings)
-            and (not has_matched_pumps(settings)
+            and (rig.makeup_conductance == 0.0
                  or all(_on_another_circuit(one, settings) for one in recordings)))
 
 
-def has_matched_pumps(settings: Settings) -> bool:
-    """Tell whether the config's circuit around a single rod is that of pumps that match areas."""
-    rig = settings.rig
-    return rig.area_1 != rig.area_2 and rig.makeup_conductance > 0.0
+def by_held_side(recordings: Sequence[Recording], settings: Settings) -> bool:
+    """Tell of recordings that the balances judge whether a side that is held is the reason.
+
+    Where a pump drives a config with a make-up path there is no other.
+    """
+    return (mode_of(recordings[0], settings) != FORCED
+            and settings.rig.makeup_conductance > 0.0)
 
 
 def _on_another_circuit(recording: Recording, settings: Settings) -> bool:

@@ -213,7 +213,7 @@ def posterior(refits: Refits, views: Sequence[tuple[Names, Sequence[Ranked]]],
             continue
         least = evidence_at_start(refits, here)
         start = least - (own.evidence - own.prior)
-        form = refits.policy.law * (least - refits.evidence.get(frozenset(), least))
+        form = form_error(refits, least)
         for one in ranking:
             unnamed = not all_named(one.names)
             value = start + one.evidence - one.prior
@@ -237,15 +237,14 @@ def refused_evidence(refits: Refits) -> dict[Names, float]:
 
     They may fit by what its laws have wrong.
     """
-    best = refits.best()
-    return {names: beyond(refits.evidence[names], refits.evidence[best], form_error(refits, best))
-            for names in refits.refused}
+    least = refits.evidence[refits.best()]
+    form = form_error(refits, least)
+    return {names: beyond(refits.evidence[names], least, form) for names in refits.refused}
 
 
-def form_error(refits: Refits, names: Names) -> float:
-    """Return how many log units may be what the laws of a set have wrong."""
-    gained = refits.evidence[names] - refits.evidence.get(frozenset(), refits.evidence[names])
-    return refits.policy.law * max(gained, 0.0)
+def form_error(refits: Refits, evidence: float) -> float:
+    """Return how many log units may be what the laws of a set with that evidence have wrong."""
+    return refits.policy.law * max(evidence - refits.evidence.get(frozenset(), evidence), 0.0)
 
 
 def evidence_at_start(refits: Refits, here: Names) -> float:

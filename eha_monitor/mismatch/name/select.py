@@ -782,7 +782,7 @@ def not_needed(experiment: Experiment, refits: Refits, names: Names, failed: Seq
         surely = 0.5 * chdtri(sum(f.owner == name for f in fit.free),
                               erfc(experiment.policy.sure / np.sqrt(2.0)))
         return rest is not None and fit.log_likelihood - rest.log_likelihood >= max(
-            surely, form_error(refits, names))
+            surely, form_error(refits, refits.evidence[names]))
 
     fit = refits.fits[names]
     doubtful = [gate for gate in failed if gate.gate == "member" and shaped(fit, gate.what)]
