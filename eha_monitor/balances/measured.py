@@ -19,6 +19,8 @@ from eha_monitor.balances.course import (
     slope,
 )
 from eha_monitor.errors import InputError
+from eha_monitor.estimation.drive_hold import followed
+from eha_monitor.estimation.hold_choice import is_held
 from eha_monitor.estimation.modelled import contributions_along
 from eha_monitor.estimation.rig_model import added_by, force_missing, force_of
 from eha_monitor.estimation.sensors import (
@@ -123,7 +125,8 @@ def course_of(recording: Recording, settings: Settings, band: float = BAND) -> C
     moving &= np.ptp(x[good]) > TRAVEL * noise["x"].value
     demand = whole.get("omega_d", whole.get("omega"))
     asked = _speed_demand(cleaned["x"], whole, rig, circuit, dt)
-    wanted = None if asked is None else _followed(asked, circuit, dt)
+    held = circuit[s.DRIVE_LAG] > 0.0 and is_held(recording, settings)
+    wanted = None if asked is None else _followed(asked, circuit, dt, held)
     pressures = [p[good] for p in (p1, p2) if p is not None]
     found = Course(
         recording.source, band, step, STEPS * every, x, v, a, fine(force), p1, p2, rate_1, rate_2,
@@ -242,7 +245,9 @@ def _ahead(values: np.ndarray, lead: float, dt: float) -> np.ndarray:
 
 def _speed_demand(shown: np.ndarray, true: dict[str, np.ndarray], rig: Rig, w: np.ndarray,
                   dt: float) -> np.ndarray | None:
-    """Return the speed that is demanded of the drive, (n,) rad/s; None where nothing says.
+    """Return the speed that is demanded of the drive, late as it comes, (n,) rad/s.
+
+    None where nothing says.
 
     ``shown`` is the position as its sensor shows it, NaN where missing: a loop in which that
     stands reads it.
@@ -250,22 +255,23 @@ def _speed_demand(shown: np.ndarray, true: dict[str, np.ndarray], rig: Rig, w: n
     if "omega" not in true:
         return None
     if "omega_d" in true:
-        return true["omega_d"]
+        return _ahead(true["omega_d"], -w[s.COMMAND_DELAY], dt)
     if "x_d" not in true or rig.position_gain is None:
         return None
     read, lead = (filled(shown), w[s.POSITION_DELAY]) if w[s.IN_LOOP] else (true["x"], 0.0)
-    return rig.position_gain * (true["x_d"] - _ahead(read, lead - w[s.FEEDBACK_DELAY], dt))
+    return rig.position_gain * (_ahead(true["x_d"], -w[s.COMMAND_DELAY], dt)
+                                - _ahead(read, lead - w[s.FEEDBACK_DELAY], dt))
 
 
-def _followed(demand: np.ndarray, w: np.ndarray, dt: float) -> np.ndarray:
-    """Return the speed that the config's drive makes of a demand, (n,) rad/s."""
-    made = (1.0 + w[s.DRIVE_GAIN]) * _ahead(demand, -w[s.COMMAND_DELAY], dt)
-    made = np.clip(made, -w[s.SPEED_LIMIT], w[s.SPEED_LIMIT])
+def _followed(demand: np.ndarray, w: np.ndarray, dt: float, held: bool) -> np.ndarray:
+    """Return the speed that the config's drive makes of a demand, (n,) rad/s.
+
+    ``held`` : it holds the demand over each sample.
+    """
+    made = np.clip((1.0 + w[s.DRIVE_GAIN]) * demand, -w[s.SPEED_LIMIT], w[s.SPEED_LIMIT])
     if w[s.DRIVE_LAG] > 0.0:
-        from scipy.signal import lfilter  # takes half of the start of a command
-
-        pole = np.exp(-dt / w[s.DRIVE_LAG])
-        made = lfilter([1.0 - pole], [1.0, -pole], made, zi=[pole * made[0]])[0]
+        end = np.concatenate([made[:1], made[:-1]]) if held else made
+        made = followed(made, end, w[s.DRIVE_LAG], dt)
     return made
 
 

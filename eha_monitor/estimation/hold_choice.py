@@ -11,10 +11,15 @@ of stage two, x, v and the hydraulic force F, an unknown force and an unknown fl
 unknowns, which are as large as the recording asks for; what no unknown of that length makes up for
 is when within a sample the pump turned.  The bulk modulus is fitted anew for each input.  With
 innovations e of position and force, log L = -(n/2) log det(1/n sum e e').
+
+Behind a lag the shaft turns smoothly, and the oil cannot tell what its command did in a sample.
+The drive's own equation can (:mod:`eha_monitor.estimation.drive_hold`).
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -22,7 +27,8 @@ import numpy as np
 from eha_monitor import ties
 from eha_monitor.compiled import njit
 from eha_monitor.estimation.discretisation import LINE_TIME, LOOP, discretise_at
-from eha_monitor.estimation.drive import Hold, drive_input
+from eha_monitor.estimation.drive import Hold, drive_input, hold_of
+from eha_monitor.estimation.drive_hold import lagged
 from eha_monitor.estimation.results import NoiseEstimate
 from eha_monitor.estimation.rig_model import LINE, RigModel, force_of, force_variance, missing
 from eha_monitor.estimation.sensors import noise_levels, undo_sensors, without_spikes
@@ -35,6 +41,7 @@ from eha_monitor.estimation.small_matrices import (
     transposed,
 )
 from eha_monitor.estimation.stages import most_telling
+from eha_monitor.physics import signals as s
 from eha_monitor.physics.contributions import circuit_of
 from eha_monitor.physics.effects import NAMES
 from eha_monitor.physics.parameters import theta_of
@@ -380,6 +387,7 @@ TOLERANCES = 3.0  # of the config's gain: one that is further off is wrong, and 
 UNSURE = 4.0  # times the usual variance of the input
 SMOOTH_S, SMOOTHED = 0.012, 7  # s and least samples over which velocity is taken
 IDEAL, BLOCK = 1.5, 16  # variance over that of the noise, sample by sample and in means
+LAGGING = 1.0  # samples: a shorter lag leaves the steps of a held command in the speed
 CUBIC = 3  # degree
 CREEP = 0.02  # of the highest speed, over which dry friction builds up
 
@@ -482,6 +490,9 @@ def evidence_of(recording: Recording, settings: Settings) -> tuple[float, str] |
     names = [name for name in recording.channels if recording.has(name)]
     if missing(settings, names)[1] is not None or len(recording) < FEWEST:
         return None
+    by_drive = evidence_of_drive(recording, settings)
+    if by_drive is not None:
+        return by_drive
     asked = asked_of(recording, settings)
     if asked is None:
         return None
@@ -494,20 +505,93 @@ def evidence_of(recording: Recording, settings: Settings) -> tuple[float, str] |
         [second, (*_from(first, held),)], lambda one: one[0], within=ties.GUESS)[::2]
     if not (np.isfinite(l_held) and np.isfinite(l_flowing)):
         return None
+    return weighed(l_flowing, l_held,
+                   lambda by: climbed(first[1], later(asked.continuous, by), at)[0],
+                   lambda by: climbed(second[1], later(asked.sampled, by), at_held)[0]
+                   ), asked.channel
 
-    def delayed(by: float) -> float:
-        return climbed(first[1], later(asked.continuous, by), at)[0]
 
+def weighed(l_flowing: float, l_held: float, flowing_late: Callable[[float], float],
+            held_late: Callable[[float], float]) -> float:
+    """Return the log units for a held command over a continuous one, either of which may be late.
+
+    Parameters
+    ----------
+    l_flowing, l_held : log likelihoods of the continuous and of the held command.
+    flowing_late, held_late : samples by which it comes later -> log likelihood.
+    """
     # A held command is half a sample late on average: what is late by just that is taken for one
     # unless it is clearly better, since any other length would be as likely.
-    half, one = delayed(0.5), delayed(1.0)
-    late = max([one, *map(delayed, LATE)] if one > l_flowing else [one])
+    half, one = flowing_late(0.5), flowing_late(1.0)
+    late = max([one, *map(flowing_late, LATE)] if one > l_flowing else [one])
     if max(late - COINCIDENCE, half - CLEARLY) > max(l_flowing, l_held - CLEARLY):
-        l_held = max(l_held, max(climbed(
-            second[1], later(asked.sampled, by - 0.5), at_held)[0]
-            for by in (1.0, *LATE)) - COINCIDENCE)
+        l_held = max(l_held, max(held_late(by - 0.5) for by in (1.0, *LATE)) - COINCIDENCE)
         l_flowing = max(l_flowing, late - COINCIDENCE, half - CLEARLY)
-    return float(l_held - l_flowing), asked.channel
+    return float(l_held - l_flowing)
+
+
+def evidence_of_drive(recording: Recording, settings: Settings) -> tuple[float, str] | None:
+    """Return what the speed of a drive with a lag says of its command, log units, and of which.
+
+    None where the drive has no lag, where its speed or command is not recorded, and where no lag
+    leaves as little of the speed as its noise.
+    """
+    rig, dt = settings.rig, recording.sample_time
+    told = "omega_d" if recording.has("omega_d") else "x_d"
+    if not recording.has("omega", told) or (told == "x_d" and rig.position_gain is None):
+        return None
+    w = circuit_of(*theta_of(rig, settings.effects))
+    if w[s.PLAY] or np.isfinite(w[list(s.LIMITS)]).any():
+        return None
+    _, cut = telling_part(recording, recording.get("omega"))
+    noise = noise_levels(Recording(dt, cut), settings.noise)
+    cut, _ = without_spikes(cut, noise)
+    if told == "omega_d":
+        parts, unsure = [(cut["omega_d"], s.COMMAND_DELAY)], 0.0
+    else:
+        gain = rig.position_gain
+        parts = [(gain * cut["x_d"], s.COMMAND_DELAY), (-gain * cut["x"], s.FEEDBACK_DELAY)]
+        unsure = (gain * noise["x"].value) ** 2
+    there = np.isfinite(cut["omega"]) & np.isfinite(sum(part for part, _ in parts))
+    if there.sum() < FEWEST:
+        return None
+    omega, tried = filled(cut["omega"]), []
+
+    def log_likelihood(held: bool, by: float) -> float:
+        lines = [later(hold_of(filled(part), 0.0, sampled=held), w[delay] / dt + by)
+                 for part, delay in parts]
+        tried.append(lagged(*map(sum, zip(*lines, strict=True)), omega, there, dt))
+        return tried[-1].log_likelihood
+
+    found = weighed(log_likelihood(False, 0.0), log_likelihood(True, 0.0),
+                    partial(log_likelihood, False), partial(log_likelihood, True))
+    best = max(tried, key=lambda one: one.log_likelihood)
+    level = np.sqrt(noise["omega"].value ** 2 + best.through * unsure)
+    if best.lag < LAGGING * dt or not white(best.left[there] / max(level, FINEST)):
+        return None
+    return found, told
+
+
+def is_held(recording: Recording, settings: Settings) -> bool:
+    """Tell whether a drive with a lag holds its command: by the config, or by its speed."""
+    if settings.command_hold != AUTO:
+        return settings.command_hold == SAMPLED
+    found = evidence_of_drive(recording, settings)
+    return found is not None and found[0] >= DECISIVE
+
+
+def telling_part(recording: Recording, raw: np.ndarray) -> tuple[int, dict[str, np.ndarray]]:
+    """Return the stretch in which an input moves most: its first sample and its channels.
+
+    Channel -> (n,), NaN where not finite.
+    """
+    length = min(len(raw), ASKED)
+    start = most_telling(raw, recording.get("x"), length)
+    let_go(raw)
+    cut = {name: np.where(np.isfinite(values[start:start + length]),
+                          values[start:start + length], np.nan)
+           for name, values in recording.channels.items()}
+    return start, {name: values for name, values in cut.items() if np.isfinite(values).any()}
 
 
 def _from(found: tuple[float, Stretch, Point], lines) -> tuple[float, Stretch, Point]:
@@ -522,16 +606,10 @@ def asked_of(recording: Recording, settings: Settings) -> Asked | None:
     commanded = rig.position_gain is not None and recording.has("x_d")
     raw = (mapped(lambda x_d, x: rig.position_gain * (x_d - x), recording.get("x_d"),
                   recording.get("x")) if commanded else recording.get("omega"))
-    length = min(len(raw), ASKED)
-    start = most_telling(raw, recording.get("x"), length)
-    let_go(raw)
+    start, cut = telling_part(recording, raw)
     if settings.effects.get(NAMES[LINE]):
         return None  # a line is late by itself, and is not in this filter
-    cut = {name: np.where(np.isfinite(values[start:start + length]),
-                          values[start:start + length], np.nan)
-           for name, values in recording.channels.items()}
-    part = Recording(dt, {name: values for name, values in cut.items()
-                          if np.isfinite(values).any()})
+    part = Recording(dt, cut)
     if any(np.nanmax(np.abs(values)) > BEYOND for values in part.channels.values()):
         return None  # no rig does that, and squares of it would not fit into a number
     if missing(settings, part.channels)[1] is not None:
@@ -539,7 +617,7 @@ def asked_of(recording: Recording, settings: Settings) -> Asked | None:
     noise = noise_levels(part, settings.noise)
     recorded, _ = without_spikes(dict(part.channels), noise)
     circuit = circuit_of(*theta_of(rig, settings.effects))
-    channels, noise = undo_sensors(recorded, noise, circuit, dt * (start + np.arange(length)))
+    channels, noise = undo_sensors(recorded, noise, circuit, dt * (start + np.arange(len(part))))
     if commanded:
         gain = gain_followed(channels, noise, rig)
         if gain is None:
@@ -558,16 +636,6 @@ def asked_of(recording: Recording, settings: Settings) -> Asked | None:
     sigma = noise["x"].value * abs(rig.position_gain) if by_demand else noise["omega"].value
     return Asked(stretches_of(channels, noise, settings, continuous, sigma, dt), continuous,
                  sampled, "x_d" if by_demand else "omega")
-
-
-def at_followed_gain(recording: Recording, settings: Settings) -> Settings:
-    """Return the settings with the K_pos that the pump follows in a recording, where it does."""
-    if settings.rig.position_gain is None or not recording.has("x_d", "omega"):
-        return settings
-    noise = noise_levels(recording, settings.noise)
-    channels, _ = without_spikes(dict(recording.channels), noise)
-    gain = gain_followed(channels, noise, settings.rig)
-    return settings if gain is None else with_gain(settings, gain)
 
 
 def with_gain(settings: Settings, gain: float) -> Settings:
@@ -605,7 +673,12 @@ def follows(channels: dict[str, np.ndarray], noise: dict[str, NoiseEstimate],
     if "omega" not in channels:
         return True
     left = channels["omega"] - gain * (channels["x_d"] - channels["x"])
-    left = left[np.isfinite(left)] / np.hypot(noise["omega"].value, gain * noise["x"].value)
+    return white(left[np.isfinite(left)] / np.hypot(noise["omega"].value,
+                                                    gain * noise["x"].value))
+
+
+def white(left: np.ndarray) -> bool:
+    """Tell whether residuals in standard deviations of the noise are no more than that, (n,)."""
     blocks = len(left) // BLOCK
     if not blocks:
         return True

@@ -115,6 +115,8 @@ def lost_of_simulation(model: Model) -> tuple[str, ...]:
                     "change over time")
     if simulation.noise.position_resolution or "position_quantisation" in model.effects:
         lost.append("position_quantisation: the position is continuous")
+    if model.settings.command_hold == "sampled":
+        lost.append("command_hold: the drive's command is continuous")
     return tuple(lost)
 
 

@@ -176,8 +176,7 @@ def first_look(settings: Settings, bounds: Bounds) -> tuple[Experiment, list[Str
     simulator = Simulator(there)
     recording = Recording(simulator.dt, simulator.batch(round(period / simulator.dt)),
                           source="config")
-    experiment = experiment_of([recording], settings.model_copy(
-        update={"command_hold": "continuous"}), hold_out=False)
+    experiment = experiment_of([recording], settings, hold_out=False)
     if experiment.mode != CLOSED or not recording.has("x_d"):
         raise InputError("config: simulation.publish: expected x and x_d, which the position loop "
                          "is planned with")

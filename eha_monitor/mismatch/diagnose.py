@@ -42,7 +42,7 @@ from eha_monitor.mismatch.diagnosis import (
     Window,
     health_sentences,
 )
-from eha_monitor.mismatch.holds import searched
+from eha_monitor.mismatch.holds import as_it_reads, searched
 from eha_monitor.mismatch.learn.validated import (
     Tested,
     ValidatedTerm,
@@ -173,7 +173,8 @@ def _diagnosed(recordings: list[Recording], settings: Settings, held_out: Record
     stands = hypothesis is None and first is not None and (far or not force_is_closed(first))
     held, decision = resolved(recordings, settings)
     end = searched(
-        lambda under: at_its_angle(experiment_of(recordings, under, held_out is None, without)),
+        lambda under: as_it_reads(at_its_angle(experiment_of(
+            recordings, under, held_out is None, without))),
         held, decision, stands,
         lambda experiment, may_end, elsewhere: begun_in(experiment, say, first, may_end,
                                                         known or (), elsewhere),

@@ -12,8 +12,10 @@ from typing import Any
 
 import numpy as np
 
+from eha_monitor import ties
 from eha_monitor.estimation.hold_choice import CLEARLY, HoldDecision, other_hold
 from eha_monitor.mismatch.data.experiment import Experiment
+from eha_monitor.mismatch.data.inputs import CLOSED
 from eha_monitor.mismatch.likelihood.fit import Fit, spread, with_unknowns
 from eha_monitor.mismatch.name.before import informative
 from eha_monitor.mismatch.name.columns import effects_of
@@ -29,7 +31,8 @@ from eha_monitor.mismatch.name.select import (
 from eha_monitor.mismatch.name.starts import without_effect
 from eha_monitor.settings.monitor import Settings
 
-HALF_LATE = ("command_delay.T", "position_delay.T")  # what a held command resembles
+# What a held command resembles.
+HALF_LATE = ("command_delay.T", "position_delay.T", "drive_lag.tau")
 
 
 @dataclass(frozen=True)
@@ -134,6 +137,24 @@ def late_as_held(naming: Naming) -> bool:
     return any(f.name in HALF_LATE and f.owner in after.named and abs(
         after.theta[f.place] - half) <= np.hypot(
             2.0 * policy.timing * half, policy.sure * after.stddev(f.name)) for f in after.free)
+
+
+def as_it_reads(experiment: Experiment) -> Experiment:
+    """Return the experiment with a digital drive reading what explains more.
+
+    Either the recorded position with its noise, of which its command then has a share, or a
+    cleaner one: by the nominal model, at the numbers of the better of two fits.
+    """
+    if not experiment.held or experiment.mode != CLOSED or experiment.wanted_speed:
+        return experiment
+    windows = informative(experiment)
+    ways = {hears: replace(windows, hears=hears) for hears in (True, False)}
+    fits = [fit for way in ways.values() if (fit := nominal_of(way)) is not None]
+    if not fits:
+        return experiment
+    best = ties.best(fits, lambda fit: fit.log_likelihood, within=ties.SAME_FIT)
+    reached = {hears: with_unknowns(way, best).log_likelihood for hears, way in ways.items()}
+    return replace(experiment, hears=reached[True] >= reached[False] - ties.SAME_FIT)
 
 
 def nominal_of(windows: Experiment) -> Fit | None:

@@ -47,12 +47,18 @@ class Given(NamedTuple):
     lead : place of the first sample in it.
     closed : True where u is x_d in m and the drive closes the loop; False where u is the shaft
         speed in rad/s.
+    held : the drive reads x_d and x at the start of each sample and holds what it wants, a
+        digital controller; of a closed loop.
+    heard : (m,) position that such a drive has read at each of the first samples, m; NaN, and
+        after them, where it reads the state's.
     """
 
     u: np.ndarray
     pieces: int
     lead: int
     closed: bool
+    held: bool
+    heard: np.ndarray
 
 
 class Step(NamedTuple):
@@ -110,6 +116,9 @@ def input_at(u, pieces, place):
     i = max(0, min(i, u.shape[0] - 1))
     f = min(max(along - i, 0.0), 1.0)
     return u[i, 0] + f * (u[i, 1] + f * (u[i, 2] + f * u[i, 3]))
+
+
+NOT_HEARD = np.empty(0)
 
 
 @njit(forceinline=True)
@@ -195,10 +204,34 @@ def drive_rate(wanted, omega, lag, slew):
 
 
 @njit(forceinline=True, allocates=False)
+def wanted_now(actuator, k, given, step, theta, w):
+    """Return the input at the start of sample ``k``, and the shaft speed wanted there, rad/s.
+
+    The input itself where no loop is closed.
+    """
+    y, _, past, newest = actuator
+    u, pieces, lead, closed, held, heard = given
+    dt, steps = step
+    first = lead + k
+    if w[of.COMMAND_DELAY] == 0.0:
+        value = piece_at(u, first * pieces, 0.0)
+    else:
+        value = input_at(u, pieces, first - w[of.COMMAND_DELAY] / dt)
+    if not closed:
+        return value, value
+    read = heard[k] if held and k < heard.shape[0] else math.nan
+    if math.isnan(read):
+        read = seen_by_drive(
+            delayed_position(past, newest[0], dt / steps, w[of.FEEDBACK_DELAY], 0.0, y[Y_X],
+                             y[Y_V], y[Y_ACCELERATION]), y[Y_PLAYED], w)
+    return value, shaft_speed(drive_speed(value, read, theta, w), w)
+
+
+@njit(forceinline=True, allocates=False)
 def advance(actuator, t, k, given, step, equations):
     """Carry an actuator over sample ``k``, which begins at ``t`` s, in place."""
     y, memory, past, newest = actuator
-    u, pieces, lead, closed = given
+    u, pieces, lead, closed, held, _ = given
     dt, steps = step
     theta, terms, updates, w, c, s = equations
     last, first = newest[0], lead + k
@@ -215,6 +248,7 @@ def advance(actuator, t, k, given, step, equations):
     base = (theta[0], theta[1], theta[2], theta[3], theta[4], theta[5], theta[6], theta[7],
             theta[8], theta[9], theta[10], theta[11])
     alone = (unknown_force, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    wanted = wanted_now(actuator, k, given, step, base, w)[1] if held else 0.0
     for i in range(steps):
         sum_v = sum_a = sum_1 = sum_2 = sum_o = sum_turning = 0.0
         xs, vs, p1s, p2s, os = x, v, p1, p2, omega
@@ -235,11 +269,13 @@ def advance(actuator, t, k, given, step, equations):
                 value = input_at(u, pieces, first + (i + offset) / steps - command_delay / dt)
             turning = value
             if closed:
-                late = xs
-                if feedback_delay > 0.0:
-                    late = delayed_position(past, last, h, feedback_delay, offset, xs, vs, before)
-                wanted = shaft_speed(
-                    drive_speed(value, seen_by_drive(late, played, w), base, w), w)
+                if not held:
+                    late = xs
+                    if feedback_delay > 0.0:
+                        late = delayed_position(past, last, h, feedback_delay, offset, xs, vs,
+                                                before)
+                    wanted = shaft_speed(
+                        drive_speed(value, seen_by_drive(late, played, w), base, w), w)
                 turning = wanted
                 if slow:
                     do = drive_rate(wanted, os, lag, slew)
@@ -284,23 +320,11 @@ def advance(actuator, t, k, given, step, equations):
 @njit(forceinline=True, allocates=False)
 def speed_now(actuator, k, given, step, equations):
     """Return the input and the shaft speed (rad/s) at the start of sample ``k``."""
-    y, _, past, newest = actuator
-    u, pieces, lead, closed = given
-    dt, steps = step
-    theta, _, _, w, _, _ = equations
-    first = lead + k
-    if w[of.COMMAND_DELAY] == 0.0:
-        value = piece_at(u, first * pieces, 0.0)
-    else:
-        value = input_at(u, pieces, first - w[of.COMMAND_DELAY] / dt)
-    if not closed:
-        return value, value + y[Y_SPEED]
-    if w[of.DRIVE_LAG] > 0.0 or w[of.SLEW_LIMIT] < np.inf:
-        return value, y[Y_OMEGA] + y[Y_SPEED]
-    late = delayed_position(past, newest[0], dt / steps, w[of.FEEDBACK_DELAY], 0.0, y[Y_X], y[Y_V],
-                            y[Y_ACCELERATION])
-    wanted = drive_speed(value, seen_by_drive(late, y[Y_PLAYED], w), theta, w)
-    return value, shaft_speed(wanted, w) + y[Y_SPEED]
+    y, w = actuator.y, equations.w
+    value, wanted = wanted_now(actuator, k, given, step, equations.theta, w)
+    if given.closed and (w[of.DRIVE_LAG] > 0.0 or w[of.SLEW_LIMIT] < np.inf):
+        wanted = y[Y_OMEGA]
+    return value, wanted + y[Y_SPEED]
 
 
 @njit(forceinline=True, allocates=False)

@@ -174,7 +174,9 @@ class Simulator:
                                    for row in (theta[0], theta[-1])) / self.dt))
         u = self._command(self.samples - lead, n + lead, substeps)
         out, shown = np.empty((n, signals.N_SIGNALS)), np.empty((n, plant.N_OUTPUTS))
-        plant.run(self._actuator, self.time, plant.Given(u, substeps, lead, True),
+        held = self.settings.command_hold == "sampled"
+        plant.run(self._actuator, self.time,
+                  plant.Given(u, substeps, lead, True, held, plant.NOT_HEARD),
                   plant.Step(self.dt, substeps), theta, self.active, out, shown)
         self.samples += n
         out[:, signals.ANGLE] = self._turned(out[:, signals.OMEGA])

@@ -9,7 +9,7 @@ import numpy as np
 from eha_monitor.balances import measured
 from eha_monitor.balances.circuit import one_side_is_held
 from eha_monitor.errors import InputError
-from eha_monitor.estimation.hold_choice import at_followed_gain
+from eha_monitor.estimation.hold_choice import SAMPLED
 from eha_monitor.estimation.rig_model import force_of
 from eha_monitor.estimation.sensors import (
     PRESSURE_ERRORS,
@@ -89,7 +89,8 @@ class Experiment:
         times is what the record covers.
     wanted_speed : the input of ``CLOSED`` is the speed that the drive was told, not x_d.
     by_pressures : the input of ``FORCED`` is what the pressure sensors say.
-    held : the drive holds its input over each sample, a digital controller.
+    held : the drive holds its command over each sample, a digital controller.
+    hears : such a drive reads the recorded position with its noise, and not a cleaner one.
     drift : by how much the circuit outside the model moves a chamber's pressure in a sample, Pa.
     windows : the stretches are windows of longer recordings.
     without : effects of the catalogue that are not considered.
@@ -116,6 +117,7 @@ class Experiment:
     largest_unknown: float = 3e4
     by_pressures: bool = False
     held: bool = False
+    hears: bool = True
     windows: bool = False
     without: tuple[str, ...] = ()
     policy: SearchPolicy = POLICY
@@ -151,10 +153,8 @@ def experiment_of(recordings: list[Recording], settings: Settings,
     """
     first = recordings[0]
     mode = mode_of(first, settings)
-    if mode == OPEN:  # a number of the loop that this input does not leave open
-        settings = at_followed_gain(sample_of(first), settings)
     theta, active = theta_of(settings.rig, settings.effects)
-    if mode == OPEN and not by_loop(first, settings.rig):  # what the pump turns is late already
+    if mode == OPEN:  # what the pump turns is late already
         active[NAMES.index("command_delay")] = False
     circuit = circuit_of(theta, active)
     wanted = mode == CLOSED and wants_speed(first)
@@ -218,9 +218,9 @@ def meant(channels: dict, w: np.ndarray, begun: float, dt: float) -> dict[str, n
 
 
 def is_held(mode: int, settings: Settings) -> bool:
-    """Tell whether the model's input is held over each sample; a slow shaft turns in between."""
+    """Tell whether a drive holds its command over each sample; a slow shaft turns in between."""
     slow = settings.effects.get("drive_lag", {}).get("tau", 0.0) > 0.0
-    return mode == OPEN and settings.command_hold == "sampled" and not slow
+    return settings.command_hold == SAMPLED and (mode == CLOSED or (mode == OPEN and not slow))
 
 
 def input_noise(mode: int, settings: Settings, levels: dict) -> float:
@@ -229,8 +229,7 @@ def input_noise(mode: int, settings: Settings, levels: dict) -> float:
         return float(np.median(levels[name])) if name in levels else 0.0
 
     if mode == OPEN:
-        gain = settings.rig.position_gain if "x_d" in levels else None
-        return level("omega") if gain is None else abs(gain) * level("x")
+        return level("omega")
     if mode == FORCED and "p1" in levels and "p2" in levels and settings.rig.area_1:
         return float(np.hypot(settings.rig.area_1 * level("p1"),
                               settings.rig.area_2 * level("p2")))
@@ -251,10 +250,8 @@ def mode_of(recording: Recording, settings: Settings) -> int:
     if not recording.has("x"):
         raise InputError(f"{recording.source}: expected a position (channel x), found "
                          f"{', '.join(recording.channels) or 'nothing'}")
-    if known and wants_speed(recording):
+    if known and (wants_speed(recording) or by_loop(recording, rig)):
         return CLOSED
-    if known and by_loop(recording, rig):
-        return OPEN if settings.command_hold == "sampled" else CLOSED
     if known and recording.has("omega"):
         return OPEN
     if recording.has("force") or (recording.has("p1", "p2") and rig.area_1 and rig.area_2):
@@ -357,22 +354,19 @@ def stretches_of(recording: Recording, channels: dict, settings: Settings, mode:
                  levels: dict, hold_out: bool, begun: float = 0.0) -> list[Stretch]:
     """Cut a recording where its input is missing for long; it begins at ``begun`` s."""
     n, dt, rig = len(recording), recording.sample_time, settings.rig
-    looped = rig.position_gain is not None and "x_d" in channels  # also where none is in a window
     nothing = np.full(n, np.nan)
     if mode == CLOSED and wants_speed(recording):
         # omega = K_pos (x_d - x) with a K_pos so small that a metre more or less does not count.
-        u, sigma, held = channels["omega_d"] / PULL + channels["x"], 0.0, False
+        u, sigma = channels["omega_d"] / PULL + channels["x"], 0.0
     elif mode == CLOSED:
-        u, sigma, held = channels["x_d"], 0.0, False
-    elif mode == OPEN and looped:
-        u, sigma = rig.position_gain * (channels["x_d"] - channels["x"]), 0.0
-        held = is_held(mode, settings)
+        u, sigma = channels["x_d"], 0.0
     elif mode == OPEN:
-        u, sigma, held = channels["omega"], levels["omega"][-1], is_held(mode, settings)
+        u, sigma = channels["omega"], levels["omega"][-1]
     else:
-        u, sigma, held = force_of(rig, channels), 0.0, False
+        u, sigma = force_of(rig, channels), 0.0
+    held = is_held(mode, settings)
     z = np.column_stack([channels.get(name, nothing) for name in OUTPUTS])
-    if mode == OPEN and not (held and looped):
+    if mode == OPEN:
         z[:, 4] = np.nan  # the pump speed is the input
     if mode == FORCED:
         z[:, 2:] = np.nan
@@ -388,9 +382,11 @@ def stretches_of(recording: Recording, channels: dict, settings: Settings, mode:
             continue
         here = slice(start, stop)
         time = np.arange(stop - start) * dt
-        course, off = course_of(filled(u[here]), sigma, held)
+        # A drive that holds its command reads it at the stamps.
+        course, off = course_of(filled(u[here]), sigma, held and mode == OPEN)
         loose = np.zeros(stop - start)
-        if mode == CLOSED and not wants_speed(recording) and "p1" in levels and "p2" in levels:
+        if (mode == CLOSED and not held and not wants_speed(recording)
+                and "p1" in levels and "p2" in levels):
             known = 0.5 * (levels["p1"][-1]**2 + levels["p2"][-1]**2)
             entered = pressure_of(off, rig, dt)[:-1] ** 2
             loose[1:] = np.where(entered > LOOSE * known, entered / (entered + 0.5 * known), 0.0)

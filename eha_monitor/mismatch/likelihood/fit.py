@@ -191,8 +191,8 @@ def filtered(experiment: Experiment, stretch, theta, active, gains, states: bool
     kept = np.empty((n if states else 0, N_FILTERED))
     steps = steps_for(experiment, theta, active)
     experiment.work.add(n * steps)
-    innovate(Record(experiment.mode, float(stretch.start), stretch.z, stretch.u,
-                    (stretch.p1, stretch.p2), role),
+    innovate(Record(experiment.mode, experiment.held, experiment.hears, float(stretch.start),
+                    stretch.z, stretch.u, (stretch.p1, stretch.p2), role),
              Step(experiment.dt, steps), theta, active,
              Correction(gains, decay_of(experiment)),
              actuator_of(start_of(experiment, stretch if begin is None else begin,

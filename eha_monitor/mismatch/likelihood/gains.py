@@ -98,8 +98,8 @@ def linear_of(experiment: Experiment, theta: np.ndarray, active: np.ndarray,
     pump = r.pump_speed[2]
     size = np.array([r.position, r.speed, r.pressure_difference[2], r.pressure_difference[2],
                      pump, r.force, max(r.flow, 1e-12), pump])
-    a, h = transition(experiment.mode, plant.Step(dt, experiment.steps), theta, active, decay, y,
-                      u, 1e-3 * size)
+    a, h = transition(experiment.mode, experiment.held, experiment.hears,
+                      plant.Step(dt, experiment.steps), theta, active, decay, y, u, 1e-3 * size)
     away = np.zeros(N_FILTERED, dtype=bool)
     if experiment.mode == FORCED:
         away[[plant.Y_P1, plant.Y_P2, plant.Y_OMEGA, plant.Y_FLOW, plant.Y_SPEED]] = True

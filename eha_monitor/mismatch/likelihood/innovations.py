@@ -34,10 +34,14 @@ from eha_monitor.physics.contributions import (
 from eha_monitor.physics.signals import (
     AREA_1,
     AREA_2,
+    FEEDBACK_DELAY,
+    IN_LOOP,
     MAX_MEMORY,
     N_CONTRIBUTIONS,
     N_SIGNALS,
     PLAY,
+    POSITION_DELAY,
+    POSITION_SCALE,
     M,
 )
 
@@ -49,7 +53,8 @@ N_FILTERED = 8  # x, v, p1, p2, omega, force, flow, speed: the head of the plant
 class Record(NamedTuple):
     """A stretch of a record, as a filter takes it.
 
-    mode : what ``u`` is.
+    mode, held, hears : what ``u`` is, whether a closed loop holds its command over each sample,
+        and whether it has computed it from ``z``.
     start : when it begins in its recording, s: a sensor has drifted since the recording began.
     z : (n, N_OUTPUTS) measured x, v, p1, p2, omega; NaN where missing.
     u : (n, 4) input as a cubic on each sample: x_d, pump speed or force after ``mode``.
@@ -60,6 +65,8 @@ class Record(NamedTuple):
     """
 
     mode: int
+    held: bool
+    hears: bool
     start: float
     z: np.ndarray
     u: np.ndarray
@@ -78,6 +85,35 @@ class Correction(NamedTuple):
     decay: float
 
 
+@njit(forceinline=True)
+def known_to_drive(w):
+    """Tell whether the recorded position tells what the drive reads: not from behind a play."""
+    return w[IN_LOOP] != 0.0 or w[PLAY] == 0.0
+
+
+@njit
+def read_by_drive(z, role, w, dt):
+    """Return the position that a drive reads at each sample, m (n,); NaN where nobody knows.
+
+    A digital controller computes from the sensor's reading, noise and rounding included; of
+    sensors whose error it does not share, from one that is as noisy.
+    """
+    n = z.shape[0]
+    heard = np.full(n, math.nan)
+    if not known_to_drive(w):
+        return heard
+    late = (w[FEEDBACK_DELAY] - w[POSITION_DELAY]) / dt  # behind the recording, or before it
+    whole = math.floor(late)
+    rest = late - whole
+    scale = 1.0 if w[IN_LOOP] != 0.0 else 1.0 + w[POSITION_SCALE]
+    for k in range(n):
+        at = k - whole
+        before = at - 1 if rest > 0.0 else at
+        if role[k] != FREE and before >= 0 and at < n:
+            heard[k] = ((1.0 - rest) * z[at, 0] + rest * z[before, 0]) / scale
+    return heard
+
+
 @njit(nogil=True)
 def innovate(record, step, theta, active, correction, actuator, e, states):
     """Filter one stretch of a record.
@@ -91,12 +127,13 @@ def innovate(record, step, theta, active, correction, actuator, e, states):
     e : (n, N_OUTPUTS) written: innovations, NaN where nothing was measured.
     states : (n, N_FILTERED) written after the correction, or (0, N_FILTERED) where not wanted.
     """
-    mode, start, z, u, pressures, role = record
+    mode, held, hears, start, z, u, pressures, role = record
     gains, decay = correction
     y, memory, past, newest = actuator
-    dt, given = step.dt, plant.Given(u, 1, 0, mode == CLOSED)
-    n = z.shape[0]
+    dt, n = step.dt, z.shape[0]
     w = circuit_of(theta, active)
+    given = plant.Given(u, 1, 0, mode == CLOSED, held,
+                        read_by_drive(z, role, w, dt) if hears else plant.NOT_HEARD)
     terms, updates, places = with_term(active), with_update(active, theta), with_place(active)
     equations = plant.Equations(theta, terms, updates, w, np.zeros(N_CONTRIBUTIONS),
                           np.zeros(N_SIGNALS))
@@ -152,7 +189,7 @@ def innovate(record, step, theta, active, correction, actuator, e, states):
 
 
 @njit(nogil=True)
-def transition(mode, step, theta, active, decay, y, u, shifts):
+def transition(mode, held, hears, step, theta, active, decay, y, u, shifts):
     """Linearise the map over one sample, and the outputs, at ``y`` by central differences.
 
     Parameters
@@ -168,7 +205,10 @@ def transition(mode, step, theta, active, decay, y, u, shifts):
     w = circuit_of(theta, active)
     equations = plant.Equations(theta, with_term(active), with_update(active, theta), w,
                           np.zeros(N_CONTRIBUTIONS), np.zeros(N_SIGNALS))
-    given, pressures = plant.Given(u, 1, 0, mode == CLOSED), (y[2:3], y[3:4])
+    # What the drive has read is known: an error of the state does not come into it.
+    read = plant.seen_by_drive(y[plant.Y_X], y[plant.Y_X], w)
+    heard = np.full(1, read if hears and known_to_drive(w) else math.nan)
+    given, pressures = plant.Given(u, 1, 0, mode == CLOSED, held, heard), (y[2:3], y[3:4])
     shown = np.zeros((2, plant.N_OUTPUTS))
     ends = np.zeros((2, y.shape[0]))
     actuator = plant.Actuator(y.copy(), np.zeros((N_EFFECTS, MAX_MEMORY)),

@@ -4,6 +4,7 @@ bound   no parameter of a member stands at the end of its range: the fit wanted 
 member  a member's own sizes are surely not absent, beside all that the rig's tolerances leave open
 sign    what must run downhill does: friction takes power from the motion, a leak flows from the
         higher pressure to the lower
+size    a member does more than a right model may leave unexplained (:func:`too_small`)
 curve   three laws of friction, or of a leak, make one curve that none of them is
 
 A set that fails is no answer.  The same set without the failing member is fitted in its place,
@@ -21,6 +22,7 @@ from eha_monitor.mismatch.data.experiment import Experiment
 from eha_monitor.mismatch.diagnosis import Gate
 from eha_monitor.mismatch.likelihood.along import contributed, filtered_tracks
 from eha_monitor.mismatch.likelihood.fit import Fit, Free
+from eha_monitor.mismatch.likelihood.gains import smallest_unknowns
 from eha_monitor.physics import signals as s
 from eha_monitor.physics.effect import Parameter
 from eha_monitor.physics.effects import CATALOGUE
@@ -33,6 +35,7 @@ SLOW = (0.02, 0.2)  # of the top speed: below is rest, above viscous damping is 
 MOST_LAWS = 2  # of one kind: with a third any smooth curve is met
 KINDS = {"motion": "friction over velocity", "pressure": "leakage over pressure"}
 FEWEST = 20  # samples from which a mean says something
+LARGEST = 0.98  # quantile of what an effect does that counts as its largest
 
 
 def at_bound(f: Free, value: float) -> bool:
@@ -115,6 +118,30 @@ def _members(experiment: Experiment, fit: Fit) -> Iterator[Gate]:
                 for i, value in zip(own, values, strict=True)])
             yield Gate("member", name, f"{effect_words(name)} of {said} is not "
                        f"{sure:g} deviations from absent")
+
+
+def too_small(experiment: Experiment, fit: Fit) -> tuple[str, ...]:
+    """Return members that do less than a model may leave unexplained and still be right.
+
+    That is ``few`` of the smallest unknowns, of the force or flow that an effect adds, at its
+    largest in the record.  Laws, sensors and solvers differ by as much from machine to machine: a
+    long record may tell a tenth of a newton in 300 apart, and there is nothing to find.
+    """
+    names = [name for name in fit.named if name in CATALOGUE and CATALOGUE[name].term is not None]
+    if not names:
+        return ()
+    small, few = smallest_unknowns(experiment), experiment.policy.few
+    limits = {s.FORCE: small.force, s.FLOW_1: small.flow, s.FLOW_2: small.flow,
+              s.SPEED: small.speed, s.MASS: small.force / experiment.ranges.acceleration}
+    tracks, found = filtered_tracks(experiment, fit), []
+    for name in names:
+        rows = np.abs(np.concatenate([
+            contributed(experiment, fit.theta, track, (name,)) for track in tracks]))
+        most = np.quantile(rows, LARGEST, axis=0)
+        if all(most[place] < few * limits.get(place, 0.0) for place in np.flatnonzero(
+                rows.any(axis=0))):
+            found.append(name)
+    return tuple(found)
 
 
 def shaped(fit: Fit, name: str) -> bool:

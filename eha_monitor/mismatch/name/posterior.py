@@ -10,6 +10,7 @@ from eha_monitor.mismatch.data.experiment import Experiment
 from eha_monitor.mismatch.diagnosis import Gate
 from eha_monitor.mismatch.likelihood.fit import Fit
 from eha_monitor.mismatch.name.candidates import all_named, candidate, log_prior
+from eha_monitor.mismatch.name.gates import too_small
 from eha_monitor.mismatch.name.rank import Ranked
 from eha_monitor.mismatch.name.refit import discrepancy, evidence_of, impossible
 from eha_monitor.mismatch.policy import SearchPolicy
@@ -27,8 +28,9 @@ class Refits:
     ----------
     policy : what evidence counts.
     fits, evidence, left : names -> model, Laplace evidence, cost of its unknowns, log units.
-    stations : names -> model and evidence of what cannot be (no damping, no stiffness).  It is no
-        answer, but what it lacks may be what makes it possible: the search goes on from there.
+    stations : names -> model and evidence of what cannot be (no damping, no stiffness), or does
+        next to nothing.  It is no answer, but what it lacks may be what makes it possible: the
+        search goes on from there.
     tried : (model, set) that was refitted from a linearisation at that model, whatever came of it.
     dropped : names -> model of a first look that others were ahead of then.
     refused : names -> gates that the set does not pass: it is no answer, whatever its evidence.
@@ -50,7 +52,7 @@ class Refits:
         value = evidence_of(experiment, fit) if np.isfinite(fit.log_likelihood) else -np.inf
         if not np.isfinite(value):
             return
-        if names and impossible(fit, self.policy.sure):
+        if names and (impossible(fit, self.policy.sure) or too_small(experiment, fit)):
             if value > self.stations.get(names, (None, -np.inf))[1] + ties.SAME_FIT:
                 self.stations[names] = fit, value
         elif anyway or value > self.evidence.get(names, -np.inf) + ties.SAME_FIT:
