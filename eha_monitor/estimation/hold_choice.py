@@ -553,6 +553,9 @@ def evidence_of_drive(recording: Recording, settings: Settings) -> tuple[float, 
         parts = [(gain * cut["x_d"], s.COMMAND_DELAY), (-gain * cut["x"], s.FEEDBACK_DELAY)]
         unsure = (gain * noise["x"].value) ** 2
     there = np.isfinite(cut["omega"]) & np.isfinite(sum(part for part, _ in parts))
+    # What came before the first sample is not known as long as it is still to come.
+    there[: math.ceil(max(w[delay] for _, delay in parts) / dt + max(LATE)) + 1] = False
+    there[-1] = False
     if there.sum() < FEWEST:
         return None
     omega, tried = filled(cut["omega"]), []

@@ -35,7 +35,6 @@ SLOW = (0.02, 0.2)  # of the top speed: below is rest, above viscous damping is 
 MOST_LAWS = 2  # of one kind: with a third any smooth curve is met
 KINDS = {"motion": "friction over velocity", "pressure": "leakage over pressure"}
 FEWEST = 20  # samples from which a mean says something
-LARGEST = 0.98  # quantile of what an effect does that counts as its largest
 
 
 def at_bound(f: Free, value: float) -> bool:
@@ -127,7 +126,7 @@ def too_small(experiment: Experiment, fit: Fit) -> tuple[str, ...]:
     largest in the record.  Laws, sensors and solvers differ by as much from machine to machine: a
     long record may tell a tenth of a newton in 300 apart, and there is nothing to find.
     """
-    names = [name for name in fit.named if name in CATALOGUE and CATALOGUE[name].term is not None]
+    names = [name for name in fit.named if name in CATALOGUE and CATALOGUE[name].adds]
     if not names:
         return ()
     small, few = smallest_unknowns(experiment), experiment.policy.few
@@ -135,11 +134,10 @@ def too_small(experiment: Experiment, fit: Fit) -> tuple[str, ...]:
               s.SPEED: small.speed, s.MASS: small.force / experiment.ranges.acceleration}
     tracks, found = filtered_tracks(experiment, fit), []
     for name in names:
-        rows = np.abs(np.concatenate([
-            contributed(experiment, fit.theta, track, (name,)) for track in tracks]))
-        most = np.quantile(rows, LARGEST, axis=0)
-        if all(most[place] < few * limits.get(place, 0.0) for place in np.flatnonzero(
-                rows.any(axis=0))):
+        most = np.abs(np.concatenate([
+            contributed(experiment, fit.theta, track, (name,)) for track in tracks])).max(axis=0)
+        acts = np.flatnonzero(most)
+        if len(acts) and all(most[place] < few * limits.get(place, 0.0) for place in acts):
             found.append(name)
     return tuple(found)
 
