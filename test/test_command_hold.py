@@ -20,6 +20,8 @@ from eha_monitor.estimation.results import NoiseEstimate
 from eha_monitor.live.estimator import LiveEstimator
 from eha_monitor.mismatch.advise.separate import simulated
 from eha_monitor.mismatch.data.experiment import experiment_of
+from eha_monitor.mismatch.likelihood.fit import filtered
+from eha_monitor.mismatch.likelihood.gains import gains_of
 from eha_monitor.mismatch.name.select import nominal
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings import settings_from_tree
@@ -234,11 +236,19 @@ def test_after_write_config_the_promise_holds(tmp_path):
 
 
 def test_a_held_input_stays_held_in_a_simulated_recording():
+    """Its drive holds, and reads what it shows without the noise: so it is explained, to 1 %."""
     experiment, fit = nominal(experiment_of(
-        [run(ISSUE, 500.0, True)], config(ISSUE, 500.0, command_hold="sampled")))
-    assert experiment.held
-    for stretch in simulated(experiment, fit).stretches:
-        assert not stretch.u[:, 1:].any()
+        [run(Rig(), 500.0, True)], config(Rig(), 500.0, command_hold="sampled")))
+    assert experiment.held and experiment.hears
+    made = simulated(experiment, fit)
+    assert made.held and not made.hears
+    right, wrong = (np.concatenate([filtered(
+        replace(made, held=held), stretch, fit.theta, fit.active,
+        gains_of(replace(made, held=held), fit.theta, fit.active, fit.unknowns))[0][200:]
+        for stretch in made.stretches]) for held in (True, False))
+    for column in (0, 2, 3, 4):
+        assert np.nanstd(right[:, column]) == pytest.approx(made.noise[column], rel=0.1)
+    assert np.nanstd(wrong[:, 2]) > 2.0 * made.noise[2]
 
 
 # ---- what a user sees ------------------------------------------------------------------------

@@ -26,7 +26,10 @@ LATE = Rig(drive_lag=4e-3, command_delay=2e-3, feedback_delay=1e-3)
 QUIET = Noise(1e-12, 1e-6, 1e-9)
 
 
-def config(rig: Rig, noise: Noise = Noise(), **more):
+USUAL = Noise()
+
+
+def config(rig: Rig, noise: Noise = USUAL, **more):
     effects = {"drive_lag": {"tau": rig.drive_lag}} if rig.drive_lag else {}
     if rig.command_delay:
         effects |= {"command_delay": {"T": rig.command_delay},

@@ -8,8 +8,9 @@ from mismatch_tools import fitted
 
 from eha_monitor.mismatch.diagnosis import Gate, SignalFit
 from eha_monitor.mismatch.likelihood.fit import Free
+from eha_monitor.mismatch.likelihood.gains import smallest_unknowns
 from eha_monitor.mismatch.name.columns import rig_free
-from eha_monitor.mismatch.name.gates import at_bound, ends_of_tolerance, failures
+from eha_monitor.mismatch.name.gates import at_bound, ends_of_tolerance, failures, too_small
 from eha_monitor.mismatch.name.posterior import Refits, refused_evidence
 from eha_monitor.mismatch.name.refit import settled, wide
 from eha_monitor.mismatch.name.select import not_needed, with_rig, without_along
@@ -207,3 +208,21 @@ def test_what_a_refused_set_gains_counts_beyond_the_form_of_the_laws(gained, cou
     refits.left = dict.fromkeys(refits.evidence, 0.0)
     refits.refused[other] = (Gate("bound", "added_mass", "at the end of its range"),)
     assert refused_evidence(refits) == {other: pytest.approx(counts)}
+
+
+def test_what_does_less_than_a_right_model_may_leave_is_no_effect():
+    """0.06 N in 276 N was presliding friction at 93 % on a healthy rig of another's equations."""
+    experiment, fit = with_start("coulomb_friction")
+    limit = POLICY.few * smallest_unknowns(experiment).force
+    assert limit == pytest.approx(1.5e-3 * experiment.ranges.force)
+    assert too_small(experiment, moved(fit, coulomb_friction__F_c=0.9 * limit)) == (
+        "coulomb_friction",)
+    assert too_small(experiment, moved(fit, coulomb_friction__F_c=1.1 * limit)) == ()
+    refits, small = Refits(POLICY), moved(fit, coulomb_friction__F_c=0.9 * limit)
+    refits.add(experiment, frozenset(small.named), small)
+    assert not refits.evidence and set(refits.stations) == {frozenset(small.named)}
+
+
+def test_what_adds_no_force_and_no_flow_has_a_size_of_its_own():
+    experiment, fit = with_start("pressure_scale")
+    assert too_small(experiment, moved(fit, pressure_scale__k_1=1e-9)) == ()

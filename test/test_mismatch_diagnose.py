@@ -254,7 +254,7 @@ def test_a_hold_that_the_bare_model_contradicts_is_taken_back():
 
 
 def test_a_set_is_compared_with_itself_under_the_other_hold():
-    """A position read late looked like a hold; beside a spring the bare model says nothing."""
+    """A position that is read late looked like a hold; what it is fits far better without."""
     recording, settings = recorded(case_of("spring_load", "position_delay"))
     flowing, held = (experiment_of([recording], with_hold(settings, hold))
                      for hold in ("continuous", "sampled"))
@@ -265,9 +265,6 @@ def test_a_set_is_compared_with_itself_under_the_other_hold():
             fit = with_effect(fit, starts_of(name, experiment)[0], (1.0,))
         return settled(experiment, fit)
 
-    under_hold = fitted_with(held, "spring_load")
-    bare = nominal(flowing)[1].log_likelihood - under_hold.log_likelihood
-    assert gained(flowing, under_hold) > max(bare, 0.0) + 100.0
     assert gained(held, fitted_with(flowing, "spring_load", "position_delay")) < -100.0
 
 

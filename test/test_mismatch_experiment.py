@@ -202,7 +202,7 @@ def test_stretches_hold_every_good_sample_and_no_long_gap(blocks, longest):
 @pytest.mark.parametrize("rig, lacking, hold, mode, used", [
     ({}, (), "continuous", CLOSED, "x v p1 p2 omega"),
     ({}, ("v", "omega"), "continuous", CLOSED, "x p1 p2"),
-    ({}, (), "sampled", OPEN, "x v p1 p2 omega"),
+    ({}, (), "sampled", CLOSED, "x v p1 p2 omega"),
     ({"position_gain": None}, (), "continuous", OPEN, "x v p1 p2"),
     ({}, ("x_d",), "continuous", OPEN, "x v p1 p2"),
     ({"volume_1": None}, (), "continuous", FORCED, "x v"),
@@ -271,4 +271,4 @@ def test_a_window_without_its_demand_holds_no_stretch(recording):
     """Of a long recording whose demand is missing for a whole window the others are taken."""
     gone = with_channels(without(recording, "omega"), x_d=np.full(len(recording), np.nan))
     held = settings(command_hold="sampled")
-    assert stretches_of(gone, gone.channels, held, OPEN, {}, True) == []
+    assert stretches_of(gone, gone.channels, held, CLOSED, {}, True) == []

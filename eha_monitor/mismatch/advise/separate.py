@@ -27,7 +27,10 @@ from eha_monitor.physics.parameters import effect_values, place_of
 
 
 def simulated(experiment: Experiment, fit: Fit) -> Experiment:
-    """Return the experiment with the fitted model's own outputs in place of the measured ones."""
+    """Return the experiment with the fitted model's own outputs in place of the measured ones.
+
+    Its drive has read the position without the noise that is added here.
+    """
     rng = np.random.default_rng(0)
     parts = []
     for stretch in experiment.stretches:
@@ -39,7 +42,7 @@ def simulated(experiment: Experiment, fit: Fit) -> Experiment:
                 (clean[:, 0] + white_part(experiment) * rng.standard_normal(len(stretch))) / step)
         z[~np.isfinite(stretch.z)] = np.nan
         parts.append(replace(stretch, z=z, u=noisy_input(experiment, stretch, rng)))
-    return experiment.only(tuple(parts))
+    return replace(experiment.only(tuple(parts)), hears=False)
 
 
 def white_part(experiment: Experiment) -> float:

@@ -92,12 +92,12 @@ def known_to_drive(w):
 
 
 @njit
-def read_by_drive(z, w, dt):
+def read_by_drive(z, role, w, dt):
     """Return the position that a drive reads at each sample, m (n,); NaN where nobody knows.
 
     A digital controller computes from the sensor's reading, noise and rounding included; of
-    sensors whose error it does not share, from one that is as noisy.  So it has where the filter
-    runs free: that is its input.
+    sensors whose error it does not share, from one that is as noisy.  Where a model runs free it
+    closes its own loop.
     """
     n = z.shape[0]
     heard = np.full(n, math.nan)
@@ -110,7 +110,7 @@ def read_by_drive(z, w, dt):
     for k in range(n):
         at = k - whole
         before = at - 1 if rest > 0.0 else at
-        if before >= 0 and at < n:
+        if role[k] != FREE and before >= 0 and at < n:
             heard[k] = ((1.0 - rest) * z[at, 0] + rest * z[before, 0]) / scale
     return heard
 
@@ -134,7 +134,7 @@ def innovate(record, step, theta, active, correction, actuator, e, states):
     dt, n = step.dt, z.shape[0]
     w = circuit_of(theta, active)
     given = plant.Given(u, 1, 0, mode == CLOSED, held,
-                        read_by_drive(z, w, dt) if hears else plant.NOT_HEARD)
+                        read_by_drive(z, role, w, dt) if hears else plant.NOT_HEARD)
     terms, updates, places = with_term(active), with_update(active, theta), with_place(active)
     equations = plant.Equations(theta, terms, updates, w, np.zeros(N_CONTRIBUTIONS),
                           np.zeros(N_SIGNALS))
