@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from mismatch_tools import fitted
 
-from eha_monitor.mismatch.diagnosis import Gate, SignalFit
+from eha_monitor.mismatch.diagnose import as_configured
+from eha_monitor.mismatch.diagnosis import Gate, NamedEffect, SignalFit, Value
 from eha_monitor.mismatch.likelihood.fit import Free
 from eha_monitor.mismatch.likelihood.gains import smallest_unknowns
 from eha_monitor.mismatch.name.columns import rig_free
@@ -226,3 +227,19 @@ def test_what_does_less_than_a_right_model_may_leave_is_no_effect():
 def test_what_adds_no_force_and_no_flow_has_a_size_of_its_own():
     experiment, fit = with_start("pressure_scale")
     assert too_small(experiment, moved(fit, pressure_scale__k_1=1e-9)) == ()
+
+
+@pytest.mark.parametrize(("written", "same"), [
+    ({"F_c": 60.0, "F_d": 15.0}, True), ({"F_c": 61.5, "F_d": 15.0}, True),
+    ({"F_c": 60.0, "F_d": 12.0}, True), ({"F_c": 50.0, "F_d": 15.0}, False),
+    ({"F_c": 60.0}, False), ({}, False)])
+def test_an_effect_of_the_config_that_is_as_it_says_is_no_mismatch(written, same):
+    """F_d is 1.8 N unsure; F_c to 5 %, the form error of laws."""
+    experiment = fitted("coulomb_friction", told=False).experiment
+    effects = {"stribeck_friction": {**written, "v_s": 0.01}} if written else {}
+    experiment = replace(experiment, settings=experiment.settings.model_copy(
+        update={"effects": effects}))
+    found = NamedEffect("stribeck_friction", "force", "", {
+        "F_c": Value(59.7, 0.4, "N"), "F_d": Value(15.3, 1.8, "N"),
+        "v_s": Value(0.02, 1e-4, "m/s"), "z_0": Value(2.5e-5, 4e-7, "m")}, 2124.0)
+    assert as_configured(experiment, found) is same

@@ -438,6 +438,10 @@ def assemble(recordings: list[Recording], shown: Experiment, naming: Naming, sta
             one.probability, claims.get(f"rig.{one.key}", 0.0), policy))
         if not (effects or wrong):  # many names share what is there, and none may stand for it
             verdict = "consistent" if naming.consistent > policy.rival else "unexplained"
+    as_written = tuple(one.name for one in effects if as_configured(experiment, one))
+    effects, refitted = tuple(one for one in effects if one.name not in as_written), effects
+    if verdict == "mismatch" and not (effects or wrong):
+        verdict, naming = "consistent", replace(naming, consistent=1.0 - naming.unexplained)
     open_end = verdict == "unexplained" and told is None
     nearest = after  # what no model explains shows where the best one has taken away all else
     if open_end:  # nothing is an answer: no name, no number but the nominal model's, in doubt
@@ -477,12 +481,13 @@ def assemble(recordings: list[Recording], shown: Experiment, naming: Naming, sta
         tuple(one.source for one in recordings), verdict,
         change_words(pieces, policy) if pieces else told.term.message
         if told is not None and told.term is not None else message_of(
-            verdict, effects, where, wrong, within), where, effects, *known,
+            verdict, effects, where, wrong, within, as_written), where, effects, *known,
         "held_out_bag" if other_bag else "held_out", signals, curves,
         show.overlays(shown, before, after), considered_of(naming, test, told),
         parts,
         health_sentences(*known, effects), advise.advice_for(experiment, asked),
-        config_effects(experiment, after, tuple(effect.name for effect in effects),
+        config_effects(experiment, after, tuple(
+            effect.name for effect in (() if open_end else refitted)),
                        (told.name, told.entry) if told is not None else None),
         duration_s=sum(one.duration for one in recordings),
         wall_s=time.perf_counter() - started, pieces=pieces,
@@ -506,6 +511,22 @@ def is_answer(probability: float, claim: float, policy: SearchPolicy) -> bool:
     claim : that it, or anything in its place, is there.
     """
     return not probability < policy.likely or claim > 1.0 - policy.rival
+
+
+def as_configured(experiment: Experiment, effect: NamedEffect) -> bool:
+    """Tell whether an effect is one of the config's, refitted, and no other than it says.
+
+    Its sizes are within ``sure`` deviations, or the form error of laws (``law``), of the config's;
+    how a friction turns at a reversal is shape.
+    """
+    written, policy = experiment.settings.effects.get(effect.name), experiment.policy
+    if not written:
+        return False
+    pairs = [(effect.parameters[one.name], written.get(one.name, one.neutral))
+             for one in CATALOGUE[effect.name].sizes if one.name in effect.parameters]
+    return bool(pairs) and all(
+        abs(found.value - value) <= max(policy.sure * found.stddev, policy.law * abs(value))
+        for found, value in pairs)
 
 
 def beside_own(experiment: Experiment, naming: Naming, told: ValidatedTerm) -> Naming:
@@ -581,11 +602,14 @@ def rivals_of(experiment: Experiment, naming: Naming, name: str) -> tuple[str, .
 
 
 def message_of(verdict: str, effects: tuple[NamedEffect, ...], where: Location,
-               wrong: tuple[RigFinding, ...] = (), within: tuple[RigFinding, ...] = ()) -> str:
-    """Return the verdict in a sentence."""
+               wrong: tuple[RigFinding, ...] = (), within: tuple[RigFinding, ...] = (),
+               refitted: tuple[str, ...] = ()) -> str:
+    """Return the verdict in a sentence; ``refitted`` are effects of the config."""
     if verdict == "consistent":
-        moved = (f", with {listed([one.key for one in within])} moved within the tolerance,"
-                 if within else "")
+        with_them = [f"{listed([one.key for one in within])} moved within the tolerance"] * bool(
+            within) + [f"its {listed([effect_words(name) for name in refitted])} refitted"] * bool(
+                refitted)
+        moved = f", with {' and '.join(with_them)}," if with_them else ""
         return f"the nominal model{moved} explains this recording down to the sensors' noise"
     if verdict == "mismatch":
         return "; ".join([*(finding.statement for finding in wrong),
