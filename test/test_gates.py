@@ -4,8 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hold_parts.plant import Motion, Noise, Rig, recorded
 from mismatch_tools import fitted
 
+from eha_monitor.balances.baseline import baseline
+from eha_monitor.mismatch.data.experiment import experiment_of
 from eha_monitor.mismatch.diagnose import as_configured
 from eha_monitor.mismatch.diagnosis import Gate, NamedEffect, SignalFit, Value
 from eha_monitor.mismatch.likelihood.fit import Free
@@ -14,11 +17,13 @@ from eha_monitor.mismatch.name.columns import rig_free
 from eha_monitor.mismatch.name.gates import at_bound, ends_of_tolerance, failures, too_small
 from eha_monitor.mismatch.name.posterior import Refits, refused_evidence
 from eha_monitor.mismatch.name.refit import settled, wide
-from eha_monitor.mismatch.name.select import not_needed, with_rig, without_along
+from eha_monitor.mismatch.name.select import nominal, not_needed, with_rig, without_along
 from eha_monitor.mismatch.name.starts import starts_of, with_effect
 from eha_monitor.mismatch.policy import POLICY
-from eha_monitor.mismatch.show.held_out import unseen_gates, without_answer
+from eha_monitor.mismatch.show.held_out import baseline_gates, shown, unseen_gates, without_answer
+from eha_monitor.physics import signals as s
 from eha_monitor.physics.parameters import place_of
+from eha_monitor.settings import settings_from_tree
 
 
 def moved(fit, **values):
@@ -243,3 +248,21 @@ def test_an_effect_of_the_config_that_is_as_it_says_is_no_mismatch(written, same
         "F_c": Value(59.7, 0.4, "N"), "F_d": Value(15.3, 1.8, "N"),
         "v_s": Value(0.02, 1e-4, "m/s"), "z_0": Value(2.5e-5, 4e-7, "m")}, 2124.0)
     assert as_configured(experiment, found) is same
+
+
+def test_a_mass_that_noise_makes_small_refuses_no_right_model():
+    """In slow motion M a is noise: a regression leaves less with less mass than there is."""
+    rig, noise = Rig(), Noise(position=8e-6)
+    recording = recorded(rig, Motion((("triangle", 8.0, 0.003, 0.25),)), 1e-3, False, noise=noise)
+    settings = settings_from_tree(rig.config(1e-3, noise), "test")
+    experiment, fit = nominal(experiment_of([recording], settings))
+    first = baseline(recording, settings)
+    assert first.force["M"].value < 0.8 * rig.mass
+    force = shown(experiment, fit, fit)["force"]
+    assert baseline_gates(experiment, [first], fit, force) == ()
+    # B is another's: the mass is no excuse for that.
+    theta = fit.theta.copy()
+    theta[s.B] *= 1.5
+    worse = replace(fit, theta=theta)
+    (gate,) = baseline_gates(experiment, [first], worse, shown(experiment, fit, worse)["force"])
+    assert gate.gate == "unseen_error"
