@@ -13,6 +13,7 @@ from hold_parts.plant import Motion, Noise, Rig, recorded
 from eha_monitor.balances.measured import course_of
 from eha_monitor.estimation.drive_hold import followed, lagged, weights_of
 from eha_monitor.estimation.hold_choice import evidence_of_drive, resolved
+from eha_monitor.estimation.pipeline import estimate
 from eha_monitor.mismatch.data.experiment import experiment_of
 from eha_monitor.mismatch.diagnose import diagnose
 from eha_monitor.mismatch.holds import as_it_reads
@@ -114,6 +115,19 @@ def test_the_simulator_s_digital_drive_is_another_program_s(rig, hold):
         "viscous_damping": rig.damping, "bulk_modulus": rig.bulk_modulus})})
     own = Simulator(settings).batch(n)
     assert np.abs(own["x"] - other.channels["x"]).max() < 2e-4 * np.ptp(other.channels["x"])
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_behind_a_lag_the_pressures_have_no_corners(known):
+    """B paid for corners that they have not, whether the config has the lag or not."""
+    settings = config(SLOW) if known else config(replace(SLOW, drive_lag=0.0))
+    found = estimate(recorded(SLOW, RICH, 1e-3, True), settings)
+    b = found.parameters["B"]
+    assert b.status == "converged" and "B" not in found.model.tainted
+    assert abs(b.value - SLOW.damping) < 3.0 * b.stddev
+    if known:
+        assert found.parameters["beta_e"].value == pytest.approx(SLOW.bulk_modulus, rel=0.01)
+    assert [one.kind for one in found.channels] == ["hold"]
 
 
 def test_what_a_digital_drive_reads_is_found():

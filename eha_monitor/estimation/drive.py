@@ -376,8 +376,7 @@ def drive_input(model, recorded: dict, channels: dict, noise: dict, dt: float,
         done = plain
     elif takes_speed(model, channels):
         sigma = noise["omega"].value
-        sampled = sampled and not w[s.DRIVE_LAG]  # a slow shaft turns in between
-        hold = speed_hold(channels["omega"], sigma, model.ringing * dt, sampled)
+        hold = speed_hold(channels["omega"], sigma, model.ringing * dt, model.held)
         kind, done = SHAFT, plain or not len(model.pump)
     else:
         gain = loop_gain(model.theta, w)

@@ -402,12 +402,14 @@ class HoldDecision:
     evidence : log units by which it is the better one.
     decided : whether that is enough.
     channel : that the hold is of: ``x_d`` or ``omega``.
+    lagging : the drive's own equation has said so, with a lag.
     """
 
     hold: str
     evidence: float
     decided: bool
     channel: str
+    lagging: bool = False
 
     @property
     def sentence(self) -> str:
@@ -463,10 +465,20 @@ def resolved(recordings: list[Recording], settings: Settings
              if (one := evidence_of(recording, settings)) is not None]
     if not found:
         return with_hold(settings, CONTINUOUS), None
-    evidence = sum(one for one, _ in found)
+    evidence = sum(one for one, *_ in found)
     decided = abs(evidence) >= DECISIVE
     hold = SAMPLED if decided and evidence > 0.0 else CONTINUOUS
-    return with_hold(settings, hold), HoldDecision(hold, abs(evidence), decided, found[0][1])
+    return with_hold(settings, hold), HoldDecision(hold, abs(evidence), decided, *found[0][1:])
+
+
+def for_stages(settings: Settings, decision: HoldDecision | None) -> Settings:
+    """Return the settings that the stages take, with the hold that :func:`resolved` gave.
+
+    Behind a lag that the config does not have they know no hold: without that lag the pressures
+    would have corners that they have not, and B would pay for it.
+    """
+    lacking = decision is not None and decision.lagging and not settings.effects.get("drive_lag")
+    return with_hold(settings, CONTINUOUS) if lacking else settings
 
 
 @dataclass(frozen=True)
@@ -482,9 +494,10 @@ class Asked:
     channel: str
 
 
-def evidence_of(recording: Recording, settings: Settings) -> tuple[float, str] | None:
-    """Return the log units for a held command over a continuous one, and of which channel.
+def evidence_of(recording: Recording, settings: Settings) -> tuple[float, str, bool] | None:
+    """Return the log units for a held command over a continuous one, of which channel and by whom.
 
+    The last is True where the equation of a drive with a lag says so, see :class:`HoldDecision`.
     None where the recording has no drive input, or too little of it.
     """
     names = [name for name in recording.channels if recording.has(name)]
@@ -492,7 +505,7 @@ def evidence_of(recording: Recording, settings: Settings) -> tuple[float, str] |
         return None
     by_drive = evidence_of_drive(recording, settings)
     if by_drive is not None:
-        return by_drive
+        return *by_drive, True
     asked = asked_of(recording, settings)
     if asked is None:
         return None
@@ -508,7 +521,7 @@ def evidence_of(recording: Recording, settings: Settings) -> tuple[float, str] |
     return weighed(l_flowing, l_held,
                    lambda by: climbed(first[1], later(asked.continuous, by), at)[0],
                    lambda by: climbed(second[1], later(asked.sampled, by), at_held)[0]
-                   ), asked.channel
+                   ), asked.channel, False
 
 
 def weighed(l_flowing: float, l_held: float, flowing_late: Callable[[float], float],

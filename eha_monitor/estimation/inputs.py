@@ -131,7 +131,7 @@ class StageInputs:
             variance = force_variance(rig, noise, settings.stage_one.force_noise)
             measured_force = force_of(rig, channels)
             force = hold_of(measured_force, variance**0.5,
-                            kinked=settings.command_hold == "sampled").with_noise(variance)
+                            kinked=model.held).with_noise(variance)
         if no_drive is None:
             made = drive_input(model, recorded, channels, noise, recording.sample_time,
                                known.started if known else None)

@@ -298,7 +298,7 @@ def hold_of_speed(recording: Recording, settings: Settings, inputs: Inputs) -> H
         return None
     hold = speed_hold(recording.channels["omega"], inputs.noise["omega"].value,
                       inputs.model.ringing * inputs.dt,
-                      sampled=settings.command_hold == "sampled")
+                      sampled=inputs.model.held)
     return hold._replace(variance=hold.variance + hold.slow)
 
 

@@ -8,7 +8,13 @@ import numpy as np
 from eha_monitor.balances.parameters import along
 from eha_monitor.breakdown import computing
 from eha_monitor.estimation.consistency import Window, stage_verdict
-from eha_monitor.estimation.hold_choice import SAMPLED, HoldDecision, resolved, with_hold
+from eha_monitor.estimation.hold_choice import (
+    SAMPLED,
+    HoldDecision,
+    for_stages,
+    resolved,
+    with_hold,
+)
 from eha_monitor.estimation.inputs import Inputs, inputs_of, time_of
 from eha_monitor.estimation.joint import fits, run_joint
 from eha_monitor.estimation.model_watch import beyond, model_status, ranges_of, tainted_by, within
@@ -68,6 +74,7 @@ def estimate(recording: Recording, settings: Settings) -> Estimate:
 def _estimated(recording: Recording, settings: Settings) -> Estimate:
     started = time.perf_counter()
     settings, decision = resolved([recording], settings)
+    settings = for_stages(settings, decision)
     found = estimate_held(recording, settings)
     if decision is not None and not decision.decided:
         found = either(found, estimate_held(recording, with_hold(settings, SAMPLED),

@@ -104,6 +104,11 @@ class RigModel:
                    active, places["pump"], circuit, opened, beta_0, loop, constants, leak)
 
     @property
+    def held(self) -> bool:
+        """Whether the pump turns at one speed over each sample; behind a lag it does not."""
+        return self.settings.command_hold == "sampled" and not self.circuit[s.DRIVE_LAG]
+
+    @property
     def theta(self) -> np.ndarray:
         """(N_THETA,) parameters of rig and effects."""
         return self.effects.theta
@@ -243,7 +248,7 @@ def moved_mass(model: "RigModel", dt: float) -> float:
     M (1 - beta_e S2 T^2/(12 M)), with the nominal bulk modulus.
     """
     rig = model.settings.rig
-    if model.settings.command_hold != "sampled" or model.hydraulics is None:
+    if not model.held or model.hydraulics is None:
         return model.theta[s.M]
     return max(model.theta[s.M] - rig.bulk_modulus * model.hydraulics[STIFF] * dt**2 / 12.0,
                0.5 * model.theta[s.M])

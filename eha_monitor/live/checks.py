@@ -15,7 +15,14 @@ import numpy as np
 from eha_monitor.balances.parameters import parameters_of
 from eha_monitor.estimation.consistency import AROUND, Window, judge, stage_verdict
 from eha_monitor.estimation.discretisation import C_PLACE
-from eha_monitor.estimation.hold_choice import AUTO, CONTINUOUS, SAMPLED, resolved, with_hold
+from eha_monitor.estimation.hold_choice import (
+    AUTO,
+    CONTINUOUS,
+    SAMPLED,
+    for_stages,
+    resolved,
+    with_hold,
+)
 from eha_monitor.estimation.inputs import StageInputs
 from eha_monitor.estimation.model_watch import StageWatch, Trial, model_status, tainted_by
 from eha_monitor.estimation.results import (
@@ -179,7 +186,8 @@ class LiveHold:
         self._known = decision is not None and decision.decided
         self._backoff.answered(now, yes=self._known)
         if self._known:
-            self.settings, self.sentence, self.apart = settings, decision.sentence, 0.0
+            self.settings, self.sentence, self.apart = (
+                for_stages(settings, decision), decision.sentence, 0.0)
         return self._known
 
     def compare(self, found: StageTwoRun, rows: Recording, damping: np.ndarray,
