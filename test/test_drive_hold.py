@@ -88,6 +88,21 @@ def test_a_drive_that_no_lag_explains_is_not_asked():
     assert evidence_of_drive(stuck, config(SLOW)) is None
 
 
+@pytest.mark.parametrize("channel", ["x_d", "omega"])
+def test_a_stretch_without_the_command_or_its_answer_says_nothing(channel):
+    recording = recorded(SLOW, RICH, 1e-3, True)
+    gone = recording.channels[channel].copy()
+    gone[:-100] = np.nan
+    cut = replace(recording, channels={**recording.channels, channel: gone})
+    assert evidence_of_drive(cut, config(SLOW)) is None
+
+
+def test_a_speed_without_noise_is_no_trouble():
+    recording = recorded(SLOW, RICH, 1e-3, True, noise=QUIET)
+    evidence, channel = evidence_of_drive(recording, config(SLOW, QUIET)) or (np.inf, "x_d")
+    assert evidence > 30.0 and channel == "x_d"
+
+
 @pytest.mark.parametrize("rig", [SLOW, LATE])
 @pytest.mark.parametrize("digital", [False, True])
 def test_the_balances_follow_the_config_s_drive(rig, digital):

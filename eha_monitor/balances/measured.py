@@ -239,6 +239,8 @@ def _sensors(noise: dict, channels: dict[str, np.ndarray]) -> dict[str, float]:
 
 def _ahead(values: np.ndarray, lead: float, dt: float) -> np.ndarray:
     """Return samples (n,) from ``lead`` s later."""
+    if lead == 0.0:
+        return values
     t = np.arange(len(values)) * dt
     return np.interp(t + lead, t, values)
 

@@ -13,6 +13,7 @@ import numpy as np
 
 SHORTEST, LONGEST = 0.05, 200.0  # samples: how long a lag may be
 NEAR = 1e-4  # of a lag's logarithm
+FINEST = 1e-12  # rad/s: what two computations of one speed differ by
 
 
 class Lagged(NamedTuple):
@@ -20,7 +21,7 @@ class Lagged(NamedTuple):
 
     Attributes
     ----------
-    log_likelihood : nan where the input says nothing.
+    log_likelihood : log units.
     lag : s; ``gain`` : of the speed over the input.
     left : (n,) rad/s, what the drive's equation leaves of the speed.
     through : variance of the speed over that of white noise on the input.
@@ -88,5 +89,5 @@ def lagged(start: np.ndarray, end: np.ndarray, omega: np.ndarray, there: np.ndar
     lag, n = dt * math.exp(best.x), int(there.sum())
     pole, first, last = weights_of(lag, dt)
     through = (first**2 + last**2 + 2.0 * pole * first * last) / (1.0 - pole**2)
-    log_likelihood = -0.5 * n * math.log(squares / n) if squares > 0.0 else math.nan
+    log_likelihood = -0.5 * n * math.log(max(squares / n, FINEST**2))
     return Lagged(log_likelihood, lag, float(found[0]), left, float(found[0]) ** 2 * through)

@@ -557,6 +557,8 @@ def evidence_of_drive(recording: Recording, settings: Settings) -> tuple[float, 
     if w[s.PLAY] or np.isfinite(w[list(s.LIMITS)]).any():
         return None
     _, cut = telling_part(recording, recording.get("omega"))
+    if not {"omega", "x", told} <= cut.keys() or beyond(cut):
+        return None
     noise = noise_levels(Recording(dt, cut), settings.noise)
     cut, _ = without_spikes(cut, noise)
     if told == "omega_d":
@@ -581,7 +583,7 @@ def evidence_of_drive(recording: Recording, settings: Settings) -> tuple[float, 
 
     found = weighed(log_likelihood(False, 0.0), log_likelihood(True, 0.0),
                     partial(log_likelihood, False), partial(log_likelihood, True))
-    best = max(tried, key=lambda one: one.log_likelihood)
+    best = ties.best(tried, lambda one: one.log_likelihood, within=ties.GUESS)
     level = np.sqrt(noise["omega"].value ** 2 + best.through * unsure)
     if best.lag < LAGGING * dt or not white(best.left[there] / max(level, FINEST)):
         return None
@@ -610,6 +612,11 @@ def telling_part(recording: Recording, raw: np.ndarray) -> tuple[int, dict[str, 
     return start, {name: values for name, values in cut.items() if np.isfinite(values).any()}
 
 
+def beyond(channels: dict[str, np.ndarray]) -> bool:
+    """Tell of values that no rig has, and whose squares would not fit into a number."""
+    return any(np.nanmax(np.abs(values)) > BEYOND for values in channels.values())
+
+
 def _from(found: tuple[float, Stretch, Point], lines) -> tuple[float, Stretch, Point]:
     """Return the fit of another input that starts where one has ended."""
     best, at = climbed(found[1], lines, found[2])
@@ -626,8 +633,8 @@ def asked_of(recording: Recording, settings: Settings) -> Asked | None:
     if settings.effects.get(NAMES[LINE]):
         return None  # a line is late by itself, and is not in this filter
     part = Recording(dt, cut)
-    if any(np.nanmax(np.abs(values)) > BEYOND for values in part.channels.values()):
-        return None  # no rig does that, and squares of it would not fit into a number
+    if beyond(cut):
+        return None
     if missing(settings, part.channels)[1] is not None:
         return None
     noise = noise_levels(part, settings.noise)

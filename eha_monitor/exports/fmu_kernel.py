@@ -73,6 +73,7 @@ def kernel(what, y_, theta_, w_, memory_, past_, u_, scratch_, out_, terms_, n_t
     c, s = scratch[:signals.N_CONTRIBUTIONS], scratch[signals.N_CONTRIBUTIONS:]
     equations = plant.Equations(theta, carray(terms_, (n_terms,)), carray(updates_, (n_updates,)),
                                 w, c, s)
+    # Nothing is held, so nothing has been heard.
     given, step = plant.Given(u, 1, 0, closed, False, s), plant.Step(h, 1)
     if what == OUTPUTS:
         out, here = carray(out_, (N_OUT,)), places[1]

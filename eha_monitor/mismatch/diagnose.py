@@ -606,10 +606,12 @@ def message_of(verdict: str, effects: tuple[NamedEffect, ...], where: Location,
                refitted: tuple[str, ...] = ()) -> str:
     """Return the verdict in a sentence; ``refitted`` are effects of the config."""
     if verdict == "consistent":
-        with_them = [f"{listed([one.key for one in within])} moved within the tolerance"] * bool(
-            within) + [f"its {listed([effect_words(name) for name in refitted])} refitted"] * bool(
-                refitted)
-        moved = f", with {' and '.join(with_them)}," if with_them else ""
+        parts = []
+        if within:
+            parts.append(f"{listed([one.key for one in within])} moved within the tolerance")
+        if refitted:
+            parts.append(f"its {listed([effect_words(name) for name in refitted])} refitted")
+        moved = f", with {' and '.join(parts)}," if parts else ""
         return f"the nominal model{moved} explains this recording down to the sensors' noise"
     if verdict == "mismatch":
         return "; ".join([*(finding.statement for finding in wrong),

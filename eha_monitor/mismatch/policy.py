@@ -28,7 +28,8 @@ class SearchPolicy:
     explained : share of what speaks against a model that an explanation by other parameters must
         take away.  Definition: three quarters.
     few : times the smallest unknowns: a right model needs fewer, one that needs as many as likely
-        lacks something as not.  Definition: 0.15 % of what its balance does.
+        lacks something as not, and what an effect adds has to be more.  Definition: 0.15 % of what
+        its balance does.
     share : of the unknowns that names have taken the place of: the same, of a model that names
         something.  Definition: more than half is left.
     matters : times the smallest unknowns: an unknown that matters.  Definition: 1 % of what its

@@ -134,7 +134,7 @@ def innovate(record, step, theta, active, correction, actuator, e, states):
     dt, n = step.dt, z.shape[0]
     w = circuit_of(theta, active)
     given = plant.Given(u, 1, 0, mode == CLOSED, held,
-                        read_by_drive(z, role, w, dt) if hears else plant.NOT_HEARD)
+                        read_by_drive(z, role, w, dt) if held and hears else plant.NOT_HEARD)
     terms, updates, places = with_term(active), with_update(active, theta), with_place(active)
     equations = plant.Equations(theta, terms, updates, w, np.zeros(N_CONTRIBUTIONS),
                           np.zeros(N_SIGNALS))
