@@ -16,7 +16,8 @@ from eha_monitor.estimation.hold_choice import evidence_of_drive, resolved
 from eha_monitor.estimation.pipeline import estimate
 from eha_monitor.mismatch.data.experiment import experiment_of
 from eha_monitor.mismatch.diagnose import diagnose
-from eha_monitor.mismatch.holds import as_it_reads
+from eha_monitor.mismatch.holds import apart_under, as_it_reads
+from eha_monitor.mismatch.name.select import nominal
 from eha_monitor.physics.simulator import Simulator
 from eha_monitor.settings import settings_from_tree
 
@@ -155,6 +156,16 @@ def test_what_a_digital_drive_reads_is_found():
     clean = replace(quiet, channels={**quiet.channels, "x": quiet.channels["x"] + added})
     assert as_it_reads(experiment_of([noisy], settings)).hears
     assert not as_it_reads(experiment_of([clean], settings)).hears
+
+
+def test_what_the_other_hold_makes_of_a_number_is_known():
+    recording = recorded(Rig(), RICH, 1e-3, False)
+    flowing, held = (experiment_of([recording], config(Rig(), command_hold=hold))
+                     for hold in ("continuous", "sampled"))
+    fit = nominal(flowing)[1]
+    same, other = apart_under(flowing, fit), apart_under(held, fit)
+    assert same["beta_e"] < 1e-3 * Rig().bulk_modulus and same["B"] < 1e-3 * Rig().damping
+    assert other["beta_e"] > max(5.0 * same["beta_e"], 1e6)
 
 
 @pytest.mark.timeout(300)

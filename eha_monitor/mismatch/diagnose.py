@@ -206,8 +206,10 @@ def _diagnosed(recordings: list[Recording], settings: Settings, held_out: Record
             and lack_of(named[0], named[1].after) > experiment.policy.lacking))):
         return Answered(by_first(first, started), naming, False)
     decided = decision is not None and decision.decided
+    after = {name: replace(one, stddev=float(np.hypot(one.stddev, end.apart.get(name, 0.0))))
+             for name, one in found.after.items()}
     return Answered(replace(
-        found, machine=None if first is None else first.machine,
+        found, after=after, machine=None if first is None else first.machine,
         policy=experiment.policy.to_dict(), channels=decision.findings if decided else (),
         command_hold=(experiment.settings if decided else settings).command_hold,
         wall_s=time.perf_counter() - started), naming, True)

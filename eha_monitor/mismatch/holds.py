@@ -5,8 +5,8 @@ the config's.  What is missing may have been taken for a hold there, or hide it:
 with something unexplained asks for the other.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 from functools import cache
 from typing import Any
 
@@ -20,7 +20,7 @@ from eha_monitor.mismatch.likelihood.fit import Fit, spread, with_unknowns
 from eha_monitor.mismatch.name.before import informative
 from eha_monitor.mismatch.name.columns import effects_of
 from eha_monitor.mismatch.name.naming import Naming
-from eha_monitor.mismatch.name.refit import looked
+from eha_monitor.mismatch.name.refit import looked, settled
 from eha_monitor.mismatch.name.select import (
     GAINED,
     Elsewhere,
@@ -29,6 +29,7 @@ from eha_monitor.mismatch.name.select import (
     nominal_model,
 )
 from eha_monitor.mismatch.name.starts import without_effect
+from eha_monitor.physics import signals as s
 from eha_monitor.settings.monitor import Settings
 
 # What a held command resembles.
@@ -46,12 +47,15 @@ class Searched:
     named : the windows that names were sought in, and the names; None where the piston hardly
         moves, or no filter follows.
     followed : whether a filter follows the recording at all.
+    apart : ``B`` and ``beta_e`` -> by how much each moves under the other hold, SI, where
+        nothing decides between them.
     """
 
     experiment: Experiment
     decision: HoldDecision | None
     named: tuple[Experiment, Naming] | None
     followed: bool
+    apart: Mapping[str, float] = field(default_factory=dict)
 
 
 Begun = tuple[Experiment, Search]
@@ -100,7 +104,8 @@ def searched(under: Callable[[Settings], Experiment], held: Settings,
         stands = Searched(experiment, decision, named, followed)
         if followed and not late and not (
                 named and named[1].unexplained > experiment.policy.rival):
-            return stands
+            return stands if decision.decided or named is None else replace(
+                stands, apart=apart_under(there(), named[1].after))
         gained = gained_under(there(), bare(), named[1].after if named else
                               nominal_of(informative(experiment)))
         if gained <= (-CLEARLY if late else 0.0):
@@ -137,6 +142,22 @@ def late_as_held(naming: Naming) -> bool:
     return any(f.name in HALF_LATE and f.owner in after.named and abs(
         after.theta[f.place] - half) <= np.hypot(
             2.0 * policy.timing * half, policy.sure * after.stddev(f.name)) for f in after.free)
+
+
+def apart_under(windows: Experiment, found: Fit) -> dict[str, float]:
+    """Return by how much B and beta_e of a set move under another hold, SI; refitted from there.
+
+    Parameters
+    ----------
+    windows : of the same samples, under the other hold.
+    """
+    try:
+        there = settled(windows, with_unknowns(windows, found))
+    except np.linalg.LinAlgError:
+        return {}
+    return {name: abs(float(there.theta[place] - found.theta[place]))
+            for name, place in (("B", s.B), ("beta_e", s.BETA_E))
+            if np.isfinite(there.theta[place] - found.theta[place])}
 
 
 def as_it_reads(experiment: Experiment) -> Experiment:
