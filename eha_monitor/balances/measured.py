@@ -20,7 +20,7 @@ from eha_monitor.balances.course import (
 )
 from eha_monitor.errors import InputError
 from eha_monitor.estimation.drive_hold import followed
-from eha_monitor.estimation.hold_choice import is_held
+from eha_monitor.estimation.hold_choice import command_is_held
 from eha_monitor.estimation.modelled import contributions_along
 from eha_monitor.estimation.rig_model import added_by, force_missing, force_of
 from eha_monitor.estimation.sensors import (
@@ -125,7 +125,7 @@ def course_of(recording: Recording, settings: Settings, band: float = BAND) -> C
     moving &= np.ptp(x[good]) > TRAVEL * noise["x"].value
     demand = whole.get("omega_d", whole.get("omega"))
     asked = _speed_demand(cleaned["x"], whole, rig, circuit, dt)
-    held = circuit[s.DRIVE_LAG] > 0.0 and is_held(recording, settings)
+    held = circuit[s.DRIVE_LAG] > 0.0 and command_is_held(recording, settings)
     wanted = None if asked is None else _followed(asked, circuit, dt, held)
     pressures = [p[good] for p in (p1, p2) if p is not None]
     found = Course(

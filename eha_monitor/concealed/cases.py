@@ -116,6 +116,7 @@ TOLERANCES = {
     "A": 0.005, "V": 0.1, "M": 0.05, "C_T": math.log(3.0), "G": math.log(3.0), "p_charge": 0.2,
     "D_p": 0.03, "K_pos": 0.03,
 }
+DRIVES = ("analogue", "digital", "digital_own")
 SEAL_TRAVEL = 4e-6  # m
 SAMPLE_TIME = 1e-3  # s
 PREROLL = 1.5  # s at rest before the recording: it starts on a running rig
@@ -145,6 +146,9 @@ class Case:
     options : effect -> parameters of its key to set outright, e.g. ``{"pressure_offset":
         {"sensor": "p2"}}``.
     nuisance : factor on sensor lag, clock jitter and encoder step.
+    drive : ``analogue``; ``digital``: it reads the recorded position with its noise and holds the
+        speed that it computes until the next sample; ``digital_own``: it reads a sensor of its
+        own, without noise.
     demand : (n,) x_d in m, one value to a sample, in place of the motion.
     """
 
@@ -159,6 +163,7 @@ class Case:
     tolerances: dict = field(default_factory=dict)
     options: dict = field(default_factory=dict)
     nuisance: float = 1.0
+    drive: str = "analogue"
     demand: np.ndarray | None = field(default=None, compare=False, repr=False)
 
     def __post_init__(self):
@@ -167,6 +172,8 @@ class Case:
                 raise ValueError(f"{self.name}: no effect {name!r}")
         if self.motion not in LENGTHS:
             raise ValueError(f"{self.name}: no motion {self.motion!r}")
+        if self.drive not in DRIVES:
+            raise ValueError(f"{self.name}: no drive {self.drive!r}")
         for key in self.rig:
             if key not in RIG and key != "amplitude":
                 raise ValueError(f"{self.name}: no rig constant {key!r}")
@@ -239,7 +246,7 @@ def hidden_of(case: Case) -> list[Hidden]:
 
 def reach_of(case: Case) -> Reach:
     """Return what the motion needs on the rig of this case."""
-    key = repr((case.effects, case.motion, case.seed, sorted(case.rig.items()),
+    key = repr((case.effects, case.motion, case.seed, case.drive, sorted(case.rig.items()),
                 sorted((k, sorted(v.items())) for k, v in case.options.items()),
                 None if case.demand is None else np.asarray(case.demand).tobytes()))
     if key not in _reaches:
@@ -286,11 +293,15 @@ def demand_of(case: Case, time: np.ndarray) -> np.ndarray:
                              float(case.rig.get("amplitude", 1.0)))
 
 
-def fine_run(case: Case, made: list[Hidden],
-             substeps: int = SUBSTEPS) -> tuple[np.ndarray, np.ndarray, dict[str, float]]:
+def fine_run(case: Case, made: list[Hidden], substeps: int = SUBSTEPS,
+             noise: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray, dict[str, float]]:
     """Return the trajectory (m, N_COLUMNS), its time (m,) from the recording's start, sensors.
 
     The step is a 20th of the sample time, or finer where a seal is stiff.
+
+    Parameters
+    ----------
+    noise : (n,) m, of the recorded position, which a digital drive reads with it.
     """
     constants, sensors = constants_of(case, made)
     mass = constants[NAMES.index("mass")]
@@ -302,5 +313,10 @@ def fine_run(case: Case, made: list[Hidden],
     halves = (np.arange(2 * (before + after) + 1) - 2 * before) * (0.5 * h)
     x_d = demand_of(case, halves - sensors.get("command_delay", 0.0))
     out = np.empty((before + after + 1, 6))
-    run(constants, x_d, h, out)
+    read = np.zeros(len(out))
+    if case.drive != "analogue":
+        constants[NAMES.index("held_steps")] = substeps
+    if case.drive == "digital" and noise is not None:
+        read[before::substeps][:len(noise)] = noise
+    run(constants, x_d, h, read, out)
     return out, halves[::2], sensors

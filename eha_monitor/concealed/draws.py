@@ -33,6 +33,8 @@ CHANNELS = {
 # Effects in a case -> share of the cases; "outside" is one that has no name in the catalogue.
 SETS = {0: 0.15, 1: 0.45, 2: 0.2, 3: 0.1, "outside": 0.1}
 STRENGTHS = (0.03, 1.2)
+# Half of all controllers are computers; half of these read the sensor that is recorded.
+DRIVES = {"analogue": 0.5, "digital": 0.25, "digital_own": 0.25}
 PAPER_RIG = 0.3  # share of the cases on the paper's own rig
 # Kind -> its share of the cases of ``mixed``.
 SHARES = {"exact": 0.4, "within": 0.4, "beyond": 0.2}
@@ -76,8 +78,13 @@ def draw_cases(n: int, seed: int, *, rig: str = "mixed", sets: dict = SETS) -> l
     rig : what the nominal configs say of it, one of :data:`KINDS`.
     sets : effects in a case -> share of the cases.
     """
-    cases = [_draw(f"c{i + 1:03d}", np.random.default_rng([seed, i]), sets) for i in range(n)]
+    cases = [replace(_draw(f"c{i + 1:03d}", np.random.default_rng([seed, i]), sets),
+                     drive=_drive(np.random.default_rng([seed, i, 9]))) for i in range(n)]
     return misconfigured(cases, seed, rig)
+
+
+def _drive(rng: np.random.Generator) -> str:
+    return str(rng.choice(list(DRIVES), p=list(DRIVES.values())))
 
 
 def _draw(name: str, rng: np.random.Generator, sets: dict) -> Case:

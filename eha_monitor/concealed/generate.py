@@ -58,7 +58,8 @@ def lagged(values: np.ndarray, h: float, lag: float) -> np.ndarray:
 
 
 def measure(fine: np.ndarray, fine_time: np.ndarray, time: np.ndarray, sensors: Sensors,
-            faults: dict[str, float], noise: float, seed: int) -> dict[str, np.ndarray]:
+            faults: dict[str, float], drawn: dict[str, np.ndarray], jumps: bool = False
+            ) -> dict[str, np.ndarray]:
     """Return what is measured, channel -> (n,) SI.
 
     Parameters
@@ -68,13 +69,11 @@ def measure(fine: np.ndarray, fine_time: np.ndarray, time: np.ndarray, sensors: 
     time : (n,) nominal sample times, s.
     sensors : the healthy sensors.
     faults : constants of the concealed sensor effects.
-    noise : factor on the white noise.
-    seed : of noise and clock.
+    drawn : of :func:`noise_of`.
+    jumps : the shaft's speed jumps at the samples: the drive reports the one that it holds.
     """
     h = fine_time[1] - fine_time[0]
-    rng = np.random.default_rng([seed, 11])
-    jitter = sensors.clock_jitter * np.clip(rng.standard_normal(len(time)), -3.0, 3.0)
-    drawn = {name: rng.standard_normal(len(time)) for name in ("x", "p1", "p2", "omega")}
+    jitter = sensors.clock_jitter * drawn["clock"]
 
     def sampled(column: int, lag: float, delay: float = 0.0) -> np.ndarray:
         return np.interp(time + jitter - delay, fine_time, lagged(fine[:, column], h, lag))
@@ -82,17 +81,28 @@ def measure(fine: np.ndarray, fine_time: np.ndarray, time: np.ndarray, sensors: 
     behind = X_SENSED if faults.get("behind_play") else X
     x = sampled(behind, sensors.position_lag, faults.get("position_delay", 0.0))
     x = x * (1.0 + faults.get("position_scale", 0.0))
-    x = x + noise * sensors.position_noise * drawn["x"]
+    x = x + drawn["x"]
     step = max(faults.get("resolution", 0.0), sensors.encoder_step)
-    shown = {"x": step * np.round(x / step) if step > 0.0 else x,
-             "omega": (sampled(OMEGA, sensors.speed_lag)
-                       + noise * sensors.speed_noise * drawn["omega"])}
+    speed = (fine[np.searchsorted(fine_time, time - 0.5 * h), OMEGA] if jumps
+             else sampled(OMEGA, sensors.speed_lag))
+    shown = {"x": step * np.round(x / step) if step > 0.0 else x, "omega": speed + drawn["omega"]}
     for name, column in (("p1", P1), ("p2", P2)):
         p = sampled(column, sensors.pressure_lag, faults.get("pressure_delay", 0.0))
         p = p * (1.0 + faults.get(f"scale_{name}", 0.0)) + faults.get(f"offset_{name}", 0.0)
         p = p + faults.get(f"drift_{name}", 0.0) * time
-        shown[name] = p + noise * sensors.pressure_noise * drawn[name]
+        shown[name] = p + drawn[name]
     return shown
+
+
+def noise_of(case: Case) -> dict[str, np.ndarray]:
+    """Return the white noise of each channel, (n,) SI, and the clock's in standard deviations."""
+    levels, n = sensors_of(case), samples_of(case)
+    rng = np.random.default_rng([case.seed, 11])
+    clock = np.clip(rng.standard_normal(n), -3.0, 3.0)
+    deviations = {"x": levels.position_noise, "p1": levels.pressure_noise,
+                  "p2": levels.pressure_noise, "omega": levels.speed_noise}
+    return {"clock": clock} | {name: case.noise * level * rng.standard_normal(n)
+                               for name, level in deviations.items()}
 
 
 def sensors_of(case: Case) -> Sensors:
@@ -107,9 +117,12 @@ def sensors_of(case: Case) -> Sensors:
 
 def recording_of(case: Case) -> tuple[dict[str, np.ndarray], np.ndarray]:
     """Return the measured channels, name -> (n,) SI, and their nominal times (n,) in s."""
-    fine, fine_time, faults = fine_run(case, hidden_of(case))
+    drawn, made = noise_of(case), hidden_of(case)
+    fine, fine_time, faults = fine_run(case, made, noise=drawn["x"])
     time = np.arange(samples_of(case)) * SAMPLE_TIME
-    shown = measure(fine, fine_time, time, sensors_of(case), faults, case.noise, case.seed)
+    lag = any(one.plant.get("drive_lag") for one in made)
+    shown = measure(fine, fine_time, time, sensors_of(case), faults, drawn,
+                    jumps=case.drive != "analogue" and not lag)
     shown["x_d"] = demand_of(case, time)
     return {name: shown[name] for name in case.channels}, time
 

@@ -31,14 +31,14 @@ from eha_monitor.compiled import njit
     AIR_FRACTION, AIR_EXPONENT, VOLUME_SLOPE,
     # pump and line
     DEAD_ZONE, PUMP_GAIN, PUMP_LOSS, LINE_INERTANCE, LINE_RESISTANCE, LINE_VOLUME,
-    # drive
-    DRIVE_LAG, SPEED_LIMIT, FEEDBACK_DELAY,
+    # drive; of a digital one the integration steps in which it holds a command
+    DRIVE_LAG, SPEED_LIMIT, FEEDBACK_DELAY, HELD_STEPS,
     # outside the catalogue of the diagnosis
     HUMP_FORCE, HUMP_PLACE, HUMP_WIDTH, STICK_FORCE, STICK_PLACE, STICK_WIDTH, STICKY_GAIN,
     STICKY_OPEN, STICKY_CLOSE, RIPPLE, RIPPLE_ORDER, GAPPED_MASS, GAPPED_PLAY, PLACE_LEAK,
     PLACE_LEAK_PLACE, PLACE_LEAK_WIDTH, LEVER_LOAD, LEVER_LENGTH, CUSHION, CUSHION_PLACE,
     WIDENING_GAP,
-) = range(68)
+) = range(69)
 NAMES = tuple(name.lower() for name in list(globals()) if name.isupper())  # those so far
 N_CONSTANTS = len(NAMES)
 
@@ -263,7 +263,7 @@ def _bend_all(memory, y, c, dt):
 
 
 @njit
-def run(c, x_d, h, out):
+def run(c, x_d, h, read, out):
     """Integrate from rest; the bristles are split off and carried exactly (Strang).
 
     Parameters
@@ -271,6 +271,7 @@ def run(c, x_d, h, out):
     c : (N_CONSTANTS,) SI constants of the plant.
     x_d : (2 n - 1,) demanded position at each half step, m.
     h : step, s.
+    read : (n,) m, what a digital controller reads beyond the position.
     out : (n, N_COLUMNS) written: x, sensed x, v, p1, p2, shaft speed at each step.
     """
     n = out.shape[0]
@@ -280,10 +281,13 @@ def run(c, x_d, h, out):
     y[SX] = x_d[0]
     y[SP1] = y[SP2] = c[CHARGE_PRESSURE]
     y[SXL] = memory[PLAYED] = x_d[0]
+    now, digital = 0.0, c[HELD_STEPS] > 0.0
     for i in range(n):
         memory[PLAYED] = _played(memory[PLAYED], y[SX], c)
         out[i, 0] = y[SX]  # first: a delayed controller reads it
-        now = _command(x_d[2 * i], _read_position(i, 0.0, y, y[SX], memory, h, c, out), c)
+        if not digital or i % c[HELD_STEPS] == 0.0:
+            now = _command(
+                x_d[2 * i], _read_position(i, 0.0, y, y[SX], memory, h, c, out) + read[i], c)
         out[i, 1] = memory[PLAYED]
         out[i, 2] = y[SV]
         out[i, 3] = y[SP1]
@@ -302,8 +306,10 @@ def run(c, x_d, h, out):
             ahead = 1.0 if s == 3 else 0.5
             for j in range(N_STATES):
                 stage[j] = y[j] + ahead * h * k[s - 1, j]
-            read = _read_position(i, ahead, y, stage[SX], memory, h, c, out)
-            w = _command(x_d[2 * i + (2 if s == 3 else 1)], read, c)
+            w = now
+            if not digital:
+                sensed = _read_position(i, ahead, y, stage[SX], memory, h, c, out)
+                w = _command(x_d[2 * i + (2 if s == 3 else 1)], sensed, c)
             _derivatives(stage, memory, w, c, k[s])
         for j in range(N_STATES):
             y[j] += h / 6.0 * (k[0, j] + 2.0 * k[1, j] + 2.0 * k[2, j] + k[3, j])

@@ -359,7 +359,7 @@ def stretches_of(recording: Recording, channels: dict, settings: Settings, mode:
         # omega = K_pos (x_d - x) with a K_pos so small that a metre more or less does not count.
         u, sigma = channels["omega_d"] / PULL + channels["x"], 0.0
     elif mode == CLOSED:
-        u, sigma = channels.get("x_d", np.full(n, np.nan)), 0.0
+        u, sigma = channels.get("x_d", nothing), 0.0
     elif mode == OPEN:
         u, sigma = channels["omega"], levels["omega"][-1]
     else:
