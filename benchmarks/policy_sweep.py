@@ -32,7 +32,7 @@ PACKAGE = "eha_monitor.mismatch"
 NUMERICS = (  # room, constants: how much is searched, and how finely
     ("name.proposals", "HANDFUL"), ("name.proposals", "MOST_OF"), ("name.proposals", "PROMISING"),
     ("name.posterior", "PURSUED"), ("name.rank", "BEAM"), ("name.columns", "TANGENT"),
-    ("name.columns", "COARSER"), ("name.columns", "FAR_OFF"), ("name.select", "CATCHING_UP"),
+    ("name.columns", "FAR_OFF"), ("name.polish", "COARSER"), ("name.select", "CATCHING_UP"),
     ("name.select", "WITHIN_REACH"), ("name.select", "CLOSE"), ("name.select", "LEANING"),
     ("name.select", "SKETCH"), ("name.unnamed", "HATS"))
 
@@ -111,11 +111,14 @@ def weighed_with(experiment):
 
 def diagnosed_with(recording, experiment):
     """Return policy -> names and their rivals, of a whole diagnosis."""
-    from eha_monitor.mismatch.diagnose import diagnosed, named_in
+    from eha_monitor.mismatch.diagnose import begun_in, diagnosed
+    from eha_monitor.mismatch.name.naming import name_effects
 
     def said(policy):
         one, say = replace(experiment, policy=policy), lambda text, share: None
-        answer = diagnosed([recording], one, named_in(one, say), None, time.perf_counter(), say)
+        windows, search = begun_in(one, say)
+        answer = diagnosed([recording], one, (windows, name_effects(search, say)), None,
+                           time.perf_counter(), say)
         if answer.verdict not in ("mismatch", "consistent"):
             return (answer.verdict,), {}
         names = {effect.name: effect.indistinguishable_from for effect in answer.effects} | {

@@ -3,6 +3,8 @@
 import ast
 import re
 from functools import cache
+from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
@@ -103,6 +105,18 @@ def test_no_circle_of_imports():
         for name in unused:  # it leads to a circle, and is in none
             del needs[name]
     assert not set(needs)
+
+
+@pytest.mark.parametrize("folder", ["benchmarks", "scripts"])
+def test_what_runs_seldom_imports_what_is_there(folder):
+    """A statement inside a function fails only when somebody runs it."""
+    gone = {f"{path.name}: {node.module}.{alias.name}"
+            for path in (PACKAGE.parent / folder).rglob("*.py")
+            for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+            if isinstance(node, ast.ImportFrom) and node.module.startswith("eha_monitor")
+            for alias in node.names if not hasattr(import_module(node.module), alias.name)
+            and find_spec(f"{node.module}.{alias.name}") is None}
+    assert not gone
 
 
 def test_physics_names_nothing_of_the_diagnosis():

@@ -10,7 +10,8 @@ from strangers.generate import record, settings_of, truth_of
 from eha_monitor.balances.answer import Asked, first_answer
 from eha_monitor.concealed.cases import Case
 from eha_monitor.mismatch.advise.advice import advise
-from eha_monitor.mismatch.diagnose import FINER, diagnose, needs_fewer
+from eha_monitor.mismatch.beside_balances import needs_fewer
+from eha_monitor.mismatch.diagnose import FINER, diagnose
 from eha_monitor.mismatch.diagnosis import NamedEffect, Value
 
 DRY = {"coulomb_friction", "stribeck_friction", "presliding_friction", "pressure_friction"}

@@ -9,13 +9,11 @@ from mismatch_tools import case_of, diagnosed, fitted, recorded
 
 from eha_monitor.balances.answer import Asked, first_answer
 from eha_monitor.estimation.hold_choice import HoldDecision, other_hold, with_hold
+from eha_monitor.mismatch.beside_balances import contradicted, defends, explains_more
 from eha_monitor.mismatch.data.experiment import experiment_of
 from eha_monitor.mismatch.diagnose import (
-    contradicted,
-    defends,
     diagnose,
     diagnose_and_name,
-    explains_more,
     held_command,
     is_answer,
     verdict_of,

@@ -15,16 +15,21 @@ from eha_monitor.balances.answer import (
     far_from_config,
     first_answer,
     force_is_closed,
-    force_left,
 )
 from eha_monitor.balances.baseline import baseline
 from eha_monitor.balances.candidates import FORCE_OF_SENSORS
 from eha_monitor.balances.change_point import since_change
 from eha_monitor.balances.course import TRAVEL
-from eha_monitor.balances.policy import POLICY, Policy
+from eha_monitor.balances.policy import POLICY
 from eha_monitor.breakdown import computing
 from eha_monitor.estimation.hold_choice import resolved
 from eha_monitor.mismatch.advise import advice as advise
+from eha_monitor.mismatch.beside_balances import (
+    contradicted,
+    defends,
+    explains_more,
+    needs_fewer,
+)
 from eha_monitor.mismatch.data.experiment import (
     Experiment,
     by_balances,
@@ -34,7 +39,6 @@ from eha_monitor.mismatch.data.experiment import (
 from eha_monitor.mismatch.diagnosis import (
     Considered,
     Diagnosis,
-    Gate,
     Location,
     NamedEffect,
     RigFinding,
@@ -82,7 +86,7 @@ from eha_monitor.mismatch.show.model import (
 )
 from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.physics.parameters import place_of
-from eha_monitor.quantity import number, quantity, with_uncertainty
+from eha_monitor.quantity import number, quantity
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings.hypothesis import Hypothesis
 from eha_monitor.settings.monitor import Settings
@@ -219,98 +223,6 @@ def by_first(first: Diagnosis, started: float) -> Diagnosis:
     """Return what the balances answer where no filter follows, with what may be done about it."""
     notes = {"consistent": (UNNAMED,), "mismatch": (FINER,)}.get(first.verdict, ())
     return replace(first, advice=(*notes, *first.advice), wall_s=time.perf_counter() - started)
-
-
-def explains_more(first: Diagnosis, found: Diagnosis, recordings: list[Recording],
-                  settings: Settings, policy: Policy = POLICY, share: float = 0.0) -> bool:
-    """Tell whether the first answer leaves less of the force on unseen data than the other.
-
-    By more than ``worse`` of it, both as laws of the config and as a balance in its band, or less
-    than a ``share`` of what the other leaves: the gate between a filter and least squares.
-    """
-    force = first.signals.get("force")
-    if force is None:
-        return False
-    mine, theirs = (left_of_force(one, recordings, settings) for one in (first, found))
-    return theirs - mine > policy.worse * force.signal_rms or mine < share * theirs
-
-
-def defends(found: Diagnosis, first: Diagnosis, recordings: list[Recording], settings: Settings,
-            policy: Policy = POLICY) -> bool:
-    """Tell whether a filter's answer leaves so much less of the force that it stands as it is.
-
-    What least squares have no law for (a sensor's curve) may be hardly any of the force, and yet
-    move its numbers: less than ``open`` of what they leave is enough.
-    """
-    return explains_more(found, first, recordings, settings, policy, policy.open)
-
-
-def needs_fewer(found: Diagnosis, first: Diagnosis, recordings: list[Recording],
-                settings: Settings, asked: Asked, policy: Policy = POLICY) -> bool:
-    """Tell whether the recordings need fewer names with the sensors as a filter says they err.
-
-    Least squares read the sensors as they are: a position that is 3 % too large is a spring that
-    is 3 % too soft, and a drive that lags.  Corrected, the balances have to leave no more of any
-    signal, with fewer names in all; a scale in the place of a load saves none.
-    """
-    sensors = {one.name: found.config_effects[one.name] for one in found.effects
-               if one.balance == "sensor" and one.name in found.config_effects}
-    if not sensors:
-        return False
-    again = first_answer(recordings, settings.model_copy(update={
-        "effects": {**settings.effects, **sensors}}), asked)
-
-    def names(answer: Diagnosis) -> int:
-        return len(answer.effects) + len(answer.rig_data)
-
-    return again is not None and names(again) + len(sensors) < names(first) and all(
-        name in again.signals and again.signals[name].after_rms <= (
-            one.after_rms + policy.worse * one.signal_rms)
-        for name, one in first.signals.items())
-
-
-def left_of_force(answer: Diagnosis, recordings: list[Recording], settings: Settings) -> float:
-    """Return the rms of the force that an answer's laws and numbers leave on unseen data, N."""
-    numbers = {one.key: one.found.value for one in (*answer.rig_within, *answer.rig_data)}
-    return force_left(recordings, settings.model_copy(update={
-        "effects": answer.config_effects, "rig": settings.rig.model_copy(update=numbers)}))
-
-
-def contradicted(first: Diagnosis, found: Diagnosis, policy: Policy = POLICY
-                 ) -> tuple[Gate, ...]:
-    """Return the gate of a filter's answer in which a number of the force is not least squares'.
-
-    Only where these name an effect of the force: they have what the filter's laws may lack (a law
-    of another form, an unknown force of each moment), and need no start.  A filter that is sure of
-    another B has found a family of numbers that make up for one another, such as scales of sensors
-    in the place of a load.
-    """
-    if first.verdict != "mismatch" or found.verdict != "mismatch":
-        return ()
-    mine, theirs = _of_the_force(first), _of_the_force(found)
-    if not mine.keys() - {"B"}:  # what goes with speed may be damping of another form
-        return ()
-    gates = []
-    for symbol in sorted(mine.keys() & theirs.keys()):
-        a, b = theirs[symbol], mine[symbol]
-        if abs(a.value - b.value) > policy.varied * np.hypot(a.stddev, b.stddev):
-            gates.append(Gate("least_squares", symbol, (
-                f"with {listed([effect_words(one.name) for one in found.effects])} the filter's "
-                f"{symbol} is {with_uncertainty(a.value, a.stddev, a.unit)}, that of "
-                "least squares on the force balance "
-                f"{with_uncertainty(b.value, b.stddev, b.unit)}, and its laws leave no less of "
-                "the force on unseen data")))
-    return tuple(gates)
-
-
-def _of_the_force(answer: Diagnosis) -> dict[str, Value]:
-    """Return the numbers of the force balance that an answer states: B, and sizes of effects."""
-    found = {"B": answer.after["B"]} if "B" in answer.after else {}
-    for effect in answer.effects:
-        if effect.balance == "force" and effect.name in CATALOGUE:
-            found |= {one.name: effect.parameters[one.name] for one in CATALOGUE[effect.name].sizes
-                      if one.name in effect.parameters and np.isfinite(one.neutral)}
-    return found
 
 
 def begun_in(experiment: Experiment, say: Report, first: Diagnosis | None = None,
