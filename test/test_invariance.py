@@ -14,7 +14,6 @@ from eha_monitor.mismatch.likelihood.fit import (
     filtered,
     log_likelihood_of,
     prior_exponent,
-    steps_for,
     with_unknowns,
 )
 from eha_monitor.mismatch.likelihood.invariance import (
@@ -136,16 +135,3 @@ def test_a_parameter_is_no_surer_than_the_tolerances_along_a_direction(experimen
                 for key in ("area_1", "pump_displacement", "mass", "volume_1"))
     assert fit.stddev("B") / fit.value("B") > 0.95 * known**-0.5
     assert fit.stddev("beta_e") / fit.value("beta_e") > 0.9 * rig.log_spread("volume_1")
-
-
-def test_a_stiff_valve_has_steps_that_resolve_it(experiment):
-    fit = with_all_free(experiment, "anti_cavitation", anti_cavitation__k=0.0)
-    assert steps_for(experiment, fit.theta, fit.active) == experiment.steps
-    theta = fit.theta.copy()
-    theta[place_of("anti_cavitation.k")] = 1e-8
-    steps = steps_for(experiment, theta, fit.active)
-    rate = 1e-8 * theta[place_of("bulk_modulus")] / min(
-        theta[place_of("volume_1")], theta[place_of("volume_2")])
-    assert rate * experiment.dt / steps < 2.78  # of Runge-Kutta of fourth order, on the real axis
-    inactive = np.zeros_like(fit.active)
-    assert steps_for(experiment, theta, inactive) == experiment.steps

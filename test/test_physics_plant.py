@@ -69,6 +69,27 @@ def test_mean_pressure_decays_to_the_charge_pressure_as_one_exponential():
     assert np.abs(truth[:, [s.X, s.V]]).max() < 1e-15
 
 
+@pytest.mark.parametrize("speed", [0.5, 8.0, 60.0])
+@pytest.mark.parametrize("valve", ["anti_cavitation", "relief_valve"])
+def test_a_stiff_valve_settles_as_one_exponential(valve, speed):
+    """However short its time is beside an integration step; ``speed`` is step over time."""
+    check = valve == "anti_cavitation"
+    k = speed * V0 / (BETA * T_S * (1.0 if check else 2.0))
+    effect = {"k": k, "p_min": 2.5e6} if check else {"k": k, "p_c": 2e6}
+    simulator = Simulator(settings(
+        simulation={"excitation": {"rest": {"kind": "rest"}}, "substeps": 1},
+        rig={"mass": 1e12, "leakage": 0.0, "makeup_conductance": 0.0}, effects={valve: effect}))
+    simulator.y[[2, 3]] = (2.4e6, 2.3e6) if check else (4.4e6, 2e6)
+    truth = simulator.advance_truth(12)
+    left = np.exp(-speed * np.arange(12))
+    if check:
+        assert truth[:, s.P1] == pytest.approx(2.5e6 - 1e5 * left, abs=300.0)
+        assert truth[:, s.P2] == pytest.approx(2.5e6 - 2e5 * left, abs=600.0)
+    else:
+        assert truth[:, s.P1] - truth[:, s.P2] == pytest.approx(2e6 + 4e5 * left, abs=1200.0)
+        assert truth[:, s.P1] + truth[:, s.P2] == pytest.approx(6.4e6, rel=1e-12)
+
+
 def test_pressure_difference_leaks_away_with_half_the_leakage_coefficient():
     # V/(2 beta) dp' = -(C_T/2) dp while the piston is held (an immense mass, no drive).
     theta, _ = theta_of(settings(rig={"mass": 1e12}).rig, {})

@@ -174,7 +174,9 @@ def _diagnosed(recordings: list[Recording], settings: Settings, held_out: Record
     if far and first.machine is not None and known is None:
         return Answered(by_first(first, started), None, False)
     # What least squares say stands where no set of laws brings a filter near the recording.
-    stands = hypothesis is None and first is not None and (far or not force_is_closed(first))
+    agrees = hypothesis is None and first is not None and first.verdict == "consistent"
+    stands = hypothesis is None and first is not None and (
+        far or agrees or not force_is_closed(first))
     held, decision = resolved(recordings, settings)
     end = searched(
         lambda under: as_it_reads(at_its_angle(experiment_of(
@@ -205,7 +207,7 @@ def _diagnosed(recordings: list[Recording], settings: Settings, held_out: Record
     # Innovations of another form than the config's laws are no mismatch of this machine, and no
     # balance is theirs.
     unanswered = found.verdict == "unexplained" and not found.learned
-    if unanswered and (far or curve or (hypothesis is None and first is not None and (
+    if unanswered and (far or curve or agrees or (hypothesis is None and first is not None and (
             first.verdict != "mismatch" and not force_is_closed(first) and named
             and lack_of(named[0], named[1].after) > experiment.policy.lacking))):
         return Answered(by_first(first, started), naming, False)

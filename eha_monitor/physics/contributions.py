@@ -1,5 +1,6 @@
 """All active effects of the catalogue in one compiled call."""
 
+import math
 from collections.abc import Callable
 
 import numpy as np
@@ -44,6 +45,18 @@ def slot_of(which: int) -> slice:
 _TURNS_OVER = np.array([*(next((slot_of(which).start + i for i, p in enumerate(effect.parameters)
                                 if effect.remembers_place and p.name == "z_0"), -1)
                           for which, effect in enumerate(_EFFECTS)), *(-1,) * SLOTS])
+
+
+def _valve(name: str, pressure: str) -> tuple[int, int, int]:
+    """Return a valve's place among the effects, and those of its k and pressure in theta."""
+    which = NAMES.index(name)
+    symbols = [p.name for p in _EFFECTS[which].parameters]
+    start = slot_of(which).start
+    return which, start + symbols.index("k"), start + symbols.index(pressure)
+
+
+CHECK_VALVE, CHECK_VALVE_K, CHECK_VALVE_P = _valve("anti_cavitation", "p_min")
+RELIEF_VALVE, RELIEF_VALVE_K, RELIEF_VALVE_P = _valve("relief_valve", "p_c")
 
 
 def _parameters(which: int) -> str:
@@ -167,6 +180,28 @@ def update_memory(s, theta, updates, h, memory):
     """
     for which in updates:
         _update(which, s, theta, h, memory)
+
+
+@njit(forceinline=True, allocates=False)
+def valves_of(theta, terms):
+    """Return where valves begin to open, and how fast they pass.
+
+    Returns
+    -------
+    below : Pa, a chamber's pressure under which one feeds it; -inf where none does.
+    beyond : Pa, difference of the pressures over which one relieves it; inf where none does.
+    conductance : of all that may be open, m^3/(s Pa): a chamber of volume V settles with
+        beta_e times this over V.  What moves from one chamber to the other counts twice.
+    """
+    below, beyond, conductance = -math.inf, math.inf, 0.0
+    for which in terms:
+        if which == CHECK_VALVE:
+            conductance += theta[CHECK_VALVE_K]
+            below = theta[CHECK_VALVE_P]
+        elif which == RELIEF_VALVE:
+            conductance += 2.0 * theta[RELIEF_VALVE_K]
+            beyond = theta[RELIEF_VALVE_P]
+    return below, beyond, conductance
 
 
 @njit

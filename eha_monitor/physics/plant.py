@@ -24,6 +24,9 @@ N_STATE = 10
 RING = 1024  # steps of the past that are kept
 N_OUTPUTS = 5  # what sensors show: x, v, p1, p2, omega
 SHORTEST_LAG = 0.4  # integration steps: a lag below is not resolved
+STEP_DECAY = 1.5  # times the fastest decay in one; Runge-Kutta runs away from 2.8
+MOST_PARTS = 64  # of an integration step while a valve is open
+AHEAD = 2.0  # steps in which a valve that opens is foreseen
 
 
 class Actuator(NamedTuple):
@@ -229,7 +232,16 @@ def wanted_now(actuator, k, given, step, theta, w):
 
 @njit(forceinline=True, allocates=False)
 def advance(actuator, t, k, given, step, equations):
-    """Carry an actuator over sample ``k``, which begins at ``t`` s, in place."""
+    """Carry an actuator over sample ``k``, which begins at ``t`` s, in place.
+
+    A chamber behind an open valve of conductance k settles with beta_e k / V.  While one is open,
+    or opens soon, each step is taken in parts that are short beside that.
+
+    Returns
+    -------
+    int
+        Steps and parts that were taken.
+    """
     y, memory, past, newest = actuator
     u, pieces, lead, closed, held, _ = given
     dt, steps = step
@@ -249,72 +261,88 @@ def advance(actuator, t, k, given, step, equations):
             theta[8], theta[9], theta[10], theta[11])
     alone = (unknown_force, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     wanted = wanted_now(actuator, k, given, step, base, w)[1] if held else 0.0
+    below, beyond, conductance = effects.valves_of(theta, terms)
+    settling = conductance * base[of.BETA_E] * h / STEP_DECAY  # times a chamber's volume
+    count = 0
     for i in range(steps):
-        sum_v = sum_a = sum_1 = sum_2 = sum_o = sum_turning = 0.0
-        xs, vs, p1s, p2s, os = x, v, p1, p2, omega
-        a = d1 = d2 = do = turning = 0.0
-        for stage in range(4):
-            offset = 0.0 if stage == 0 else (1.0 if stage == 3 else 0.5)
-            if stage > 0:
-                g = offset * h
-                xs, vs, p1s, p2s, os = x + g * vs, v + g * a, p1 + g * d1, p2 + g * d2, (
-                    omega + g * do)
-            if command_delay == 0.0:
-                place = (i + offset) * pieces / steps
-                piece = min(int(place), pieces - 1)
-                if stage == 3:  # a jump at the end of the step belongs to the next
-                    piece = math.ceil(place - 1e-9) - 1
-                value = piece_at(u, first * pieces + piece, place - piece)
-            else:
-                value = input_at(u, pieces, first + (i + offset) / steps - command_delay / dt)
-            turning = value
-            if closed:
-                if not held:
-                    late = xs
-                    if feedback_delay > 0.0:
-                        late = delayed_position(past, last, h, feedback_delay, offset, xs, vs,
-                                                before)
-                    wanted = shaft_speed(
-                        drive_speed(value, seen_by_drive(late, played, w), base, w), w)
-                turning = wanted
-                if slow:
-                    do = drive_rate(wanted, os, lag, slew)
-                    turning = os
-            turning += unknown_speed
-            if any_active:
-                s[of.T], s[of.X], s[of.V] = t + (i + offset) * h, xs, vs
-                s[of.P1], s[of.P2], s[of.OMEGA], s[of.X_D] = p1s, p2s, turning, value
-                effects.add_contributions(s, theta, terms, memory, c)
-                c[of.FORCE] += unknown_force
-                a, d1, d2 = rates(vs, p1s, p2s, turning, unknown_flow, base, c)
-            else:
-                a, d1, d2 = rates(vs, p1s, p2s, turning, unknown_flow, base, alone)
-            weight = 1.0 if stage == 0 or stage == 3 else 2.0
-            sum_v += weight * vs
-            sum_a += weight * a
-            sum_1 += weight * d1
-            sum_2 += weight * d2
-            sum_o += weight * do
-            sum_turning += weight * turning
-        g = h / 6.0
-        x += g * sum_v
-        v += g * sum_a
-        p1 += g * sum_1
-        p2 += g * sum_2
-        omega += g * sum_o
-        before = sum_a / 6.0
-        played = behind_play(x, played, play) if play > 0.0 else x
-        if not slow:
-            omega = turning - unknown_speed
+        parts, smallest = 1, min(base[of.VOL_1] + c[of.VOLUME_1], base[of.VOL_2] + c[of.VOLUME_2])
+        if settling > smallest > 0.0:
+            back = (last - 1) % RING
+            next_1, next_2 = (p1 + AHEAD * (p1 - past[back, 2]), p2 + AHEAD * (p2 - past[back, 3]))
+            if min(p1, p2, next_1, next_2) < below or max(
+                    abs(p1 - p2), abs(next_1 - next_2)) > beyond:
+                parts = min(math.ceil(settling / smallest), MOST_PARTS)
+        part_h, turned = h / parts, 0.0
+        count += parts
+        for part in range(parts):
+            sum_v = sum_a = sum_1 = sum_2 = sum_o = sum_turning = 0.0
+            xs, vs, p1s, p2s, os = x, v, p1, p2, omega
+            a = d1 = d2 = do = turning = 0.0
+            for stage in range(4):
+                offset = 0.0 if stage == 0 else (1.0 if stage == 3 else 0.5)
+                if stage > 0:
+                    g = offset * part_h
+                    xs, vs, p1s, p2s, os = x + g * vs, v + g * a, p1 + g * d1, p2 + g * d2, (
+                        omega + g * do)
+                offset = (part + offset) / parts  # in the step
+                if command_delay == 0.0:
+                    place = (i + offset) * pieces / steps
+                    piece = min(int(place), pieces - 1)
+                    if stage == 3:  # a jump at the end of the step belongs to the next
+                        piece = math.ceil(place - 1e-9) - 1
+                    value = piece_at(u, first * pieces + piece, place - piece)
+                else:
+                    value = input_at(u, pieces, first + (i + offset) / steps - command_delay / dt)
+                turning = value
+                if closed:
+                    if not held:
+                        late = xs
+                        if feedback_delay > 0.0:
+                            late = delayed_position(past, last, h, feedback_delay, offset, xs, vs,
+                                                    before)
+                        wanted = shaft_speed(
+                            drive_speed(value, seen_by_drive(late, played, w), base, w), w)
+                    turning = wanted
+                    if slow:
+                        do = drive_rate(wanted, os, lag, slew)
+                        turning = os
+                turning += unknown_speed
+                if any_active:
+                    s[of.T], s[of.X], s[of.V] = t + (i + offset) * h, xs, vs
+                    s[of.P1], s[of.P2], s[of.OMEGA], s[of.X_D] = p1s, p2s, turning, value
+                    effects.add_contributions(s, theta, terms, memory, c)
+                    c[of.FORCE] += unknown_force
+                    a, d1, d2 = rates(vs, p1s, p2s, turning, unknown_flow, base, c)
+                else:
+                    a, d1, d2 = rates(vs, p1s, p2s, turning, unknown_flow, base, alone)
+                weight = 1.0 if stage == 0 or stage == 3 else 2.0
+                sum_v += weight * vs
+                sum_a += weight * a
+                sum_1 += weight * d1
+                sum_2 += weight * d2
+                sum_o += weight * do
+                sum_turning += weight * turning
+            g = part_h / 6.0
+            x += g * sum_v
+            v += g * sum_a
+            p1 += g * sum_1
+            p2 += g * sum_2
+            omega += g * sum_o
+            before = sum_a / 6.0
+            played = behind_play(x, played, play) if play > 0.0 else x
+            if not slow:
+                omega = turning - unknown_speed
+            turned += sum_turning
         if any_memory:
             s[of.T], s[of.X], s[of.V], s[of.P1], s[of.P2] = t + (i + 1) * h, x, v, p1, p2
-            s[of.OMEGA] = sum_turning / 6.0
+            s[of.OMEGA] = turned / (6.0 * parts)
             effects.update_memory(s, theta, updates, h, memory)
         last = (last + 1) % RING
         past[last, 0], past[last, 1], past[last, 2], past[last, 3] = x, v, p1, p2
     y[Y_X], y[Y_V], y[Y_P1], y[Y_P2], y[Y_OMEGA] = x, v, p1, p2, omega
     y[Y_PLAYED], y[Y_ACCELERATION] = played, before
     newest[0] = last
+    return count
 
 
 @njit(forceinline=True, allocates=False)

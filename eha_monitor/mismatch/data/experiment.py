@@ -32,7 +32,7 @@ from eha_monitor.mismatch.policy import POLICY, SearchPolicy
 from eha_monitor.physics.contributions import NAMES, circuit_of
 from eha_monitor.physics.effect import Ranges
 from eha_monitor.physics.parameters import theta_of
-from eha_monitor.physics.plant import N_OUTPUTS
+from eha_monitor.physics.plant import N_OUTPUTS, STEP_DECAY
 from eha_monitor.physics.signals import K_POS
 from eha_monitor.recordings.grid import filled
 from eha_monitor.recordings.recording import Recording, between_stops, rows_of, sample_of
@@ -45,7 +45,6 @@ SHORTEST = 0.5  # s of a stretch worth fitting
 PERIOD, SHARE = 5.0, 0.2  # of every 5 s the last fifth is held out
 STEP_PHASE = 0.16  # rad of the fastest resonance in one integration step
 MOST_DAMPING = 3.0  # times the prior of B: how far a fit may take it
-STEP_DECAY = 1.5  # times the fastest decay in one; Runge-Kutta runs away from 2.8
 MOST_STEPS = 40
 ABOVE = 1.3  # times a fitted B: quadratic friction adds to it at the highest speed
 PULL = 1.0  # rad/s for a metre: what stands for K_pos where the wanted speed is recorded

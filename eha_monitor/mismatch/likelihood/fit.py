@@ -18,9 +18,8 @@ from functools import lru_cache, partial
 
 import numpy as np
 
-from eha_monitor.estimation.rig_model import VALVES
 from eha_monitor.estimation.sensors import true_position, true_pressure
-from eha_monitor.mismatch.data.experiment import MOST_STEPS, STEP_DECAY, Experiment
+from eha_monitor.mismatch.data.experiment import Experiment
 from eha_monitor.mismatch.likelihood.gains import Unknowns, decay_of, gains_of
 from eha_monitor.mismatch.likelihood.innovations import (
     FREE,
@@ -29,15 +28,11 @@ from eha_monitor.mismatch.likelihood.innovations import (
     Record,
     innovate,
 )
-from eha_monitor.physics import signals as s
-from eha_monitor.physics.contributions import NAMES, circuit_of, turned_memory
-from eha_monitor.physics.parameters import place_of
+from eha_monitor.physics.contributions import circuit_of, turned_memory
 from eha_monitor.physics.plant import N_OUTPUTS, Step, actuator_of, new_state
 
 EXCHANGES = 20  # between free and held, times the numbers of a step: a few are usual
 SINGULAR = 1e-12  # of a correlation: what rounding may make of it
-# Effects whose flow goes with a pressure beyond a set point, and the places of those slopes.
-CONDUCTANCES = tuple((NAMES.index(name), place_of(f"{name}.k")) for name in VALVES)
 
 
 @dataclass(frozen=True)
@@ -158,24 +153,6 @@ def innovations(experiment: Experiment, theta: np.ndarray, active: np.ndarray,
     return np.concatenate(parts)[:, experiment.columns]
 
 
-def steps_for(experiment: Experiment, theta: np.ndarray, active: np.ndarray) -> int:
-    """Return integration steps of a sample: the experiment's, doubled until valves are resolved.
-
-    A chamber behind a valve of conductance k settles with beta_e k / V. Where that is shorter than
-    a step Runge-Kutta runs away each time the valve opens, and what is fitted is the edge of it.
-    """
-    conductance = sum(abs(theta[place]) for which, place in CONDUCTANCES if active[which])
-    smallest = np.fmin(theta[s.VOL_1], theta[s.VOL_2])
-    needed = 0.0
-    if conductance > 0.0 and smallest > 0.0:
-        needed = min(conductance * theta[s.BETA_E] / smallest * experiment.dt / STEP_DECAY,
-                     MOST_STEPS)
-    steps = experiment.steps
-    while steps < needed:
-        steps *= 2
-    return steps
-
-
 def filtered(experiment: Experiment, stretch, theta, active, gains, states: bool = False,
              free: np.ndarray | None = None, begin=None) -> tuple[np.ndarray, np.ndarray]:
     """Filter one stretch; returns all innovations (n, N_OUTPUTS) and the states, if wanted.
@@ -189,15 +166,14 @@ def filtered(experiment: Experiment, stretch, theta, active, gains, states: bool
     if free is not None:
         role[free] = FREE
     kept = np.empty((n if states else 0, N_FILTERED))
-    steps = steps_for(experiment, theta, active)
-    experiment.work.add(n * steps)
-    innovate(Record(experiment.mode, experiment.held, experiment.hears, float(stretch.start),
-                    stretch.z, stretch.u, (stretch.p1, stretch.p2), role),
-             Step(experiment.dt, steps), theta, active,
-             Correction(gains, decay_of(experiment)),
-             actuator_of(start_of(experiment, stretch if begin is None else begin,
-                                  circuit_of(theta, active)),
-                         turned_memory(stretch.begins_at)), e, kept)
+    experiment.work.add(innovate(
+        Record(experiment.mode, experiment.held, experiment.hears, float(stretch.start), stretch.z,
+               stretch.u, (stretch.p1, stretch.p2), role),
+        Step(experiment.dt, experiment.steps), theta, active,
+        Correction(gains, decay_of(experiment)),
+        actuator_of(start_of(experiment, stretch if begin is None else begin,
+                             circuit_of(theta, active)),
+                    turned_memory(stretch.begins_at)), e, kept))
     return e, kept
 
 

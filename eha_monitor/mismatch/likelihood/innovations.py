@@ -127,11 +127,16 @@ def innovate(record, step, theta, active, correction, actuator, e, states):
     actuator : at the start, carried on.
     e : (n, N_OUTPUTS) written: innovations, NaN where nothing was measured.
     states : (n, N_FILTERED) written after the correction, or (0, N_FILTERED) where not wanted.
+
+    Returns
+    -------
+    int
+        Integration steps that were taken.
     """
     mode, held, hears, start, z, u, pressures, role = record
     gains, decay = correction
     y, memory, past, newest = actuator
-    dt, n = step.dt, z.shape[0]
+    dt, n, count = step.dt, z.shape[0], 0
     w = circuit_of(theta, active)
     given = plant.Given(u, 1, 0, mode == CLOSED, held,
                         read_by_drive(z, role, w, dt) if held and hears else plant.NOT_HEARD)
@@ -173,7 +178,7 @@ def innovate(record, step, theta, active, correction, actuator, e, states):
             y[plant.Y_V] += 0.5 * dt * half * (theta[AREA_1] + theta[AREA_2]) / theta[M]
         if not math.isfinite(y[0]):
             e[k:] = 1e30
-            return
+            return count
         shift_memory(places, y[plant.Y_X] - predicted, memory)
         for j in range(4):
             past[newest[0], j] = y[j]
@@ -182,11 +187,13 @@ def innovate(record, step, theta, active, correction, actuator, e, states):
                 states[k, i] = y[i]
         if mode == FORCED:
             plant.advance_forced(actuator, t, k, u, pressures, step, equations)
+            count += step.steps
         else:
-            plant.advance(actuator, t, k, given, step, equations)
+            count += plant.advance(actuator, t, k, given, step, equations)
         y[plant.Y_FORCE] *= decay
         y[plant.Y_FLOW] *= decay
         y[plant.Y_SPEED] *= decay
+    return count
 
 
 @njit(nogil=True)
