@@ -122,7 +122,10 @@ class _Choice:
         nominal = self.unseen(self.always)
         refused: list[Refused] = []
         kept, often, rivals = list(self.always), {}, {}
-        if nominal > max(policy.worse, policy.clean * table.floor / table.size):
+        clean = policy.clean * table.floor / table.size
+        if nominal > clean and nominal <= policy.worse:
+            self.allowed = [*self.always, *self.wrong_numbers(nominal)]
+        if nominal > max(policy.worse, clean) or self.allowed != self.always:
             kept, often, rivals = self.stable()
             kept = self.gated(kept, refused)
         named = set(kept) - set(self.always)
@@ -160,6 +163,16 @@ class _Choice:
                     self.of[other].effect for other in kept} and one.kind in families),
                 whole or (value, total), fall))
         return Alone(tuple(found), tuple(refused), table.effective, error, nominal)
+
+    def wrong_numbers(self, nominal: float) -> list[str]:
+        """Return the numbers of the config that explain most of an error, however small it is.
+
+        An error of 2 % of a force is nothing to repair a machine for; a mass that is a third
+        larger than the config's may be no more, where weight and friction are most of the force.
+        """
+        return [name for name in self.allowed
+                if self.of[name].configured > 0.0 and not self.of[name].always
+                and self.unseen([*self.always, name]) < self.policy.open * nominal]
 
     def stable(self) -> tuple[list[str], dict[str, float], dict[str, tuple[str, ...]]]:
         """Return the terms that most halves choose, how often each family is, and rivals."""
