@@ -173,6 +173,16 @@ def force_is_closed(found: Diagnosis, policy: Policy = POLICY) -> bool:
     return force is not None and force.after_rms <= policy.clean * force.noise_rms
 
 
+def agrees_closely(found: Diagnosis | None, policy: Policy = POLICY) -> bool:
+    """Tell whether the config's own model leaves no more of any balance than anybody repairs.
+
+    A law of a real machine is never the config's, and a filter that weighs each sample sees that
+    long before it is a share ``worse`` of a force or a flow.
+    """
+    return found is not None and found.verdict == "consistent" and all(
+        one.after_rms <= policy.worse * one.signal_rms for one in found.signals.values())
+
+
 def force_left(recordings: Sequence[Recording], settings: Settings, policy: Policy = POLICY
                ) -> float:
     """Return the rms of the force that the config's own model leaves on unseen parts, N.

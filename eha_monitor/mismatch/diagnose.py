@@ -11,6 +11,7 @@ import numpy as np
 from eha_monitor import ties
 from eha_monitor.balances.answer import (
     Asked,
+    agrees_closely,
     answered,
     far_from_config,
     first_answer,
@@ -174,7 +175,7 @@ def _diagnosed(recordings: list[Recording], settings: Settings, held_out: Record
     if far and first.machine is not None and known is None:
         return Answered(by_first(first, started), None, False)
     # What least squares say stands where no set of laws brings a filter near the recording.
-    agrees = hypothesis is None and first is not None and first.verdict == "consistent"
+    agrees = hypothesis is None and agrees_closely(first)
     stands = hypothesis is None and first is not None and (
         far or agrees or not force_is_closed(first))
     held, decision = resolved(recordings, settings)
@@ -196,8 +197,8 @@ def _diagnosed(recordings: list[Recording], settings: Settings, held_out: Record
     led_astray = found.verdict == "mismatch" and not (naming and follows(naming))
     judges = recordings if held_out is None else [held_out]
     curve = hypothesis is None and first is not None and bool(first.learned)
-    if (far or curve) and (led_astray or explains_more(
-            first, found, judges, experiment.settings)):
+    if (agrees and led_astray) or ((far or curve) and (led_astray or explains_more(
+            first, found, judges, experiment.settings))):
         return Answered(by_first(first, started), naming, False)
     apart = () if hypothesis is not None or first is None else contradicted(first, found)
     if apart and not (defends(found, first, judges, experiment.settings)
