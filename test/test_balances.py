@@ -11,7 +11,7 @@ from scipy.signal import lfilter
 from test_filters_effects import CASES, recording_of
 
 from eha_monitor.balances.alone import alone
-from eha_monitor.balances.answer import Asked, _agreeing_words, answered
+from eha_monitor.balances.answer import Asked, _agreeing_words, agrees_closely, answered
 from eha_monitor.balances.baseline import baseline
 from eha_monitor.balances.candidates import (
     BALANCES,
@@ -37,7 +37,14 @@ from eha_monitor.balances.table import pooled_table, tables_of
 from eha_monitor.balances.together import of_one_machine
 from eha_monitor.concealed.cases import Case
 from eha_monitor.mismatch.diagnose import diagnose
-from eha_monitor.mismatch.diagnosis import RigFinding, Value, beside_config
+from eha_monitor.mismatch.diagnosis import (
+    Diagnosis,
+    Location,
+    RigFinding,
+    SignalFit,
+    Value,
+    beside_config,
+)
 from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.quantity import quantity
 from eha_monitor.recordings import columns
@@ -567,6 +574,33 @@ def test_a_force_that_keeps_one_value_is_no_balance(settings):
     found = answered([replace(one, channels={**one.channels, **frozen})], settings)
     assert found.verdict == "insufficient_data" and "pressures keep one value" in found.message
     assert found.baselines[0].force is None
+
+
+@pytest.mark.parametrize(("mass", "named"), [(58.0, False), (100.0, True)])
+def test_a_wrong_mass_is_named_however_little_of_the_force_it_is(tmp_path, mass, named):
+    """The config has 55 kg within 5 %, and a spring that is 99 % of the force."""
+    config = stranger_settings(tmp_path).model_copy(update={
+        "effects": {"spring_load": {"k": 3e4, "x_0": 0.2}}})
+    recording = stranger(3, dry=0.0, rise=0.0, damping=(1500.0, 1500.0), load=0.0, mass=mass,
+                         spring=3e4)
+    found = answered([recording], config, Asked())
+    assert found.signals["force"].before_rms < POLICY.worse * found.signals["force"].signal_rms
+    assert [effect.name for effect in found.effects] == ["added_mass"] * named, found.message
+    for effect in found.effects:
+        size = effect.parameters["dM"]
+        assert size.value == pytest.approx(mass - 55.0, abs=2.0 * size.stddev)
+    assert found.after["B"].value == pytest.approx(1500.0, abs=2.0 * found.after["B"].stddev)
+    assert agrees_closely(found) is not named
+
+
+def test_a_balance_that_leaves_three_per_cent_is_no_close_agreement():
+    none = Diagnosis((), "consistent", "", Location({}, "", ()), (), {}, {}, "held_out", {})
+    left = {share: replace(none, signals={"force": SignalFit("N", share, share, 0.0,
+                                                             signal_rms=1.0)})
+            for share in (0.019, 0.03)}
+    assert agrees_closely(left[0.019]) and not agrees_closely(left[0.03])
+    assert not agrees_closely(None)
+    assert not agrees_closely(replace(left[0.019], verdict="mismatch"))
 
 
 def test_a_drive_that_hunts_shows_no_friction(settings):

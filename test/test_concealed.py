@@ -11,9 +11,11 @@ from ruamel.yaml import YAML
 
 from eha_monitor.concealed.cases import (
     CONFIG_KEYS,
+    DRIVES,
     TOLERANCES,
     Case,
     balance_of,
+    demand_of,
     effect_names,
     fine_run,
     hidden_of,
@@ -31,7 +33,7 @@ from eha_monitor.concealed.draws import (
     draw_cases,
     misconfigured,
 )
-from eha_monitor.concealed.generate import nominal_config, recording_of, write_case
+from eha_monitor.concealed.generate import noise_of, nominal_config, recording_of, write_case
 from eha_monitor.concealed.plant import OMEGA, P1, P2, V, X
 from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.recordings.read import read_recording
@@ -191,6 +193,31 @@ def test_sensor_effects_leave_the_plant_alone():
         if balance_of(name) == "sensor":
             case = Case("a", ((name, 1.0),), motion="short")
             assert np.array_equal(fine_run(case, hidden_of(case))[0], base)
+
+
+@pytest.mark.parametrize("drive", ["digital", "digital_own"])
+def test_a_digital_drive_holds_what_it_computes_at_each_sample(drive):
+    case = Case("a", motion="short", drive=drive)
+    noise = noise_of(case)["x"]
+    fine, time, _ = fine_run(case, [], noise=noise)
+    fine, time = fine[time > -1e-9], time[time > -1e-9]
+    steps = round(1e-3 / (time[1] - time[0]))
+    wanted = rig_of(case)["position_gain"] * (
+        demand_of(case, time[::steps]) - fine[::steps, X])[:-1]
+    heard = rig_of(case)["position_gain"] * noise if drive == "digital" else 0.0 * noise
+    for later in range(steps):
+        assert fine[later::steps, OMEGA][:len(noise)] == pytest.approx(
+            wanted[:len(noise)] - heard, abs=1e-9)
+    shown, _ = recording_of(case)
+    left = shown["omega"] - fine[::steps, OMEGA][:len(noise)]
+    assert left.std() == pytest.approx(0.1, rel=0.05)  # no more than the sensor's noise
+
+
+def test_half_of_the_drives_are_digital_and_nothing_else_depends_on_it():
+    cases = draw_cases(400, 5)
+    share = np.mean([case.drive != "analogue" for case in cases])
+    assert share == pytest.approx(0.5, abs=0.08)
+    assert {case.drive for case in cases} == set(DRIVES)
 
 
 def test_delays_are_what_they_say(unchanged):
