@@ -175,9 +175,7 @@ def _diagnosed(recordings: list[Recording], settings: Settings, held_out: Record
     if far and first.machine is not None and known is None:
         return Answered(by_first(first, started), None, False)
     # What least squares say stands where no set of laws brings a filter near the recording.
-    agrees = hypothesis is None and agrees_closely(first)
-    stands = hypothesis is None and first is not None and (
-        far or agrees or not force_is_closed(first))
+    stands = hypothesis is None and first is not None and (far or not force_is_closed(first))
     held, decision = resolved(recordings, settings)
     end = searched(
         lambda under: as_it_reads(at_its_angle(experiment_of(
@@ -197,6 +195,7 @@ def _diagnosed(recordings: list[Recording], settings: Settings, held_out: Record
     led_astray = found.verdict == "mismatch" and not (naming and follows(naming))
     judges = recordings if held_out is None else [held_out]
     curve = hypothesis is None and first is not None and bool(first.learned)
+    agrees = hypothesis is None and agrees_closely(first)
     if (agrees and led_astray) or ((far or curve) and (led_astray or explains_more(
             first, found, judges, experiment.settings))):
         return Answered(by_first(first, started), naming, False)
