@@ -148,6 +148,8 @@ class _Choice:
             if one.always:  # no half says whether it is there: its own value does
                 frequency, gained = 1.0, 0.0
                 apart = abs(value) / total if total > 0.0 else 0.0
+                if one.configured > 0.0 and apart > policy.owed:
+                    rivals[one.kind] = self.as_well_as(name, kept, error)
             else:
                 frequency = often.get(one.kind, 0.0)
                 apart = from_absent(values, covariance, [
@@ -173,6 +175,20 @@ class _Choice:
         return [name for name in self.allowed
                 if self.of[name].configured > 0.0 and not self.of[name].always
                 and self.unseen([*self.always, name]) < self.policy.open * nominal]
+
+    def as_well_as(self, name: str, kept: list[str], error: float) -> tuple[str, ...]:
+        """Return the effects of which a term does as well in the place of a number of the config.
+
+        The number is then the config's: a leak to ambient beside pressures that hardly vary may be
+        one between the chambers.
+        """
+        rest, most = [other for other in kept if other != name], error * np.exp(self.policy.alone)
+        forms = {one.name: [*rest, one.name] for one in self.of.values()
+                 if not one.always and one.name not in kept}
+        return tuple(dict.fromkeys(
+            self.of[other].effect for other, form in forms.items()
+            if founded(form, self.of) == form and not self.beyond(form)
+            and self.unseen(form) <= most))
 
     def stable(self) -> tuple[list[str], dict[str, float], dict[str, tuple[str, ...]]]:
         """Return the terms that most halves choose, how often each family is, and rivals."""

@@ -98,9 +98,9 @@ FINER = ("With these effects in the config (diagnose --write-config FILE, then -
 UNNAMED = ("A filter still sees more than the sensors' noise, too little for a balance of forces "
            "or flows and with no name: compare with a healthy recording of this machine (diagnose "
            "--reference) rather than with its config.")
-HELD = ("The pressure of one side is held, by an accumulator or check valves: one pump turns, and "
-        "not two that match the areas, so the balances answer; set rig.makeup_conductance: 0 "
-        "(docs/machines.md).")
+HELD = ("The pressure of one side is held, by an accumulator or check valves, so the balances "
+        "answer.  If one pump turns, and not two that match the areas, set "
+        "rig.makeup_conductance: 0 (docs/machines.md).")
 Report = Callable[[str, float], None]
 
 
