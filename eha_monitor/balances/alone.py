@@ -123,10 +123,9 @@ class _Choice:
         refused: list[Refused] = []
         kept, often, rivals = list(self.always), {}, {}
         clean = policy.clean * table.floor / table.size
-        if nominal > clean and nominal <= policy.worse:
-            self.allowed = [*self.always, *self.wrong_numbers(nominal)]
-        if nominal > max(policy.worse, clean) or self.allowed != self.always:
-            kept, often, rivals = self.stable()
+        among = self.allowed if nominal > policy.worse else self.wrong_numbers(nominal)
+        if nominal > clean and among:
+            kept, often, rivals = self.stable(among)
             kept = self.gated(kept, refused)
         named = set(kept) - set(self.always)
         kept = self.as_good_as_first_view(kept, refused)
@@ -190,12 +189,16 @@ class _Choice:
             if founded(form, self.of) == form and not self.beyond(form)
             and self.unseen(form) <= most))
 
-    def stable(self) -> tuple[list[str], dict[str, float], dict[str, tuple[str, ...]]]:
-        """Return the terms that most halves choose, how often each family is, and rivals."""
+    def stable(self, among: Sequence[str]
+               ) -> tuple[list[str], dict[str, float], dict[str, tuple[str, ...]]]:
+        """Return the terms that most halves choose, how often each family is, and rivals.
+
+        ``among`` : terms of which they choose; what does as well in their place may be another.
+        """
         of, policy = self.of, self.policy
         effects, families, terms = Counter(), Counter(), Counter()
         for fit, judge in self.halves:
-            chosen = chosen_on(self.table, (fit, judge), self.always, self.allowed, policy)
+            chosen = chosen_on(self.table, (fit, judge), self.always, among, policy)
             # In the order of the choice: a set's own is another one in each process.
             effects.update(list(dict.fromkeys(of[name].effect for name in chosen)))
             families.update(list(dict.fromkeys(of[name].kind for name in chosen
