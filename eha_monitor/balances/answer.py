@@ -179,7 +179,7 @@ def agrees_closely(found: Diagnosis | None, policy: Policy = POLICY) -> bool:
     A law of a real machine is never the config's, and a filter that weighs each sample sees that
     long before it is a share ``worse`` of a force or a flow.
     """
-    return found is not None and found.verdict == "consistent" and all(
+    return found is not None and found.verdict == "consistent" and bool(found.signals) and all(
         one.after_rms <= policy.worse * one.signal_rms for one in found.signals.values())
 
 
