@@ -288,10 +288,11 @@ def test_a_model_in_which_two_parameters_are_one_is_no_model_and_no_breakdown():
     assert made.log_likelihood == -np.inf or np.isfinite(made.covariance).all()
 
 
-def test_a_failed_step_is_shortened_until_it_succeeds():
+def test_a_line_that_is_half_as_slow_again_is_carried_to_its_optimum():
+    """Whole steps fail on the way.  From 1.7 on the last bit decides in which valley it ends."""
     ringing = fitted("line_dynamics")
     theta = ringing.after.theta.copy()
-    theta[place_of("line_dynamics.T_l")] *= 1.72
+    theta[place_of("line_dynamics.T_l")] *= 1.5
     start = remade(ringing.experiment, ringing.after, theta=theta)
     made = polished(ringing.experiment, start, Slopes(ringing.experiment), 80)
     assert start.log_likelihood < ringing.after.log_likelihood - 5_000
