@@ -11,7 +11,7 @@ from scipy.signal import lfilter
 from test_filters_effects import CASES, recording_of
 
 from eha_monitor.balances.alone import alone
-from eha_monitor.balances.answer import Asked, _agreeing_words, agrees_closely, answered
+from eha_monitor.balances.answer import Asked, _agreeing_words, answered
 from eha_monitor.balances.baseline import baseline
 from eha_monitor.balances.candidates import (
     BALANCES,
@@ -36,6 +36,7 @@ from eha_monitor.balances.scatter import amplitudes_of
 from eha_monitor.balances.table import pooled_table, tables_of
 from eha_monitor.balances.together import of_one_machine
 from eha_monitor.concealed.cases import Case
+from eha_monitor.mismatch.beside_balances import agrees_closely
 from eha_monitor.mismatch.diagnose import diagnose
 from eha_monitor.mismatch.diagnosis import (
     Diagnosis,
@@ -599,7 +600,6 @@ def test_a_balance_that_leaves_three_per_cent_is_no_close_agreement():
                                                              signal_rms=1.0)})
             for share in (0.019, 0.03)}
     assert agrees_closely(left[0.019]) and not agrees_closely(left[0.03])
-    assert not agrees_closely(None)
     assert not agrees_closely(replace(left[0.019], verdict="mismatch"))
 
 

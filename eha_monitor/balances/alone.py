@@ -123,10 +123,11 @@ class _Choice:
         refused: list[Refused] = []
         kept, often, rivals = list(self.always), {}, {}
         clean = policy.clean * table.floor / table.size
-        among = self.allowed if nominal > policy.worse else self.wrong_numbers(nominal)
-        if nominal > clean and among:
-            kept, often, rivals = self.stable(among)
-            kept = self.gated(kept, refused)
+        if nominal > clean:
+            among = self.allowed if nominal > policy.worse else self.numbers_explaining(nominal)
+            if among:
+                kept, often, rivals = self.stable(among)
+                kept = self.gated(kept, refused)
         named = set(kept) - set(self.always)
         kept = self.as_good_as_first_view(kept, refused)
         found, error = [], self.unseen(kept)
@@ -165,7 +166,7 @@ class _Choice:
                 whole or (value, total), fall))
         return Alone(tuple(found), tuple(refused), table.effective, error, nominal)
 
-    def wrong_numbers(self, nominal: float) -> list[str]:
+    def numbers_explaining(self, nominal: float) -> list[str]:
         """Return the numbers of the config that explain most of an error, however small it is.
 
         An error of 2 % of a force is nothing to repair a machine for; a mass that is a third

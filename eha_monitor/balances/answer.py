@@ -16,7 +16,6 @@ from eha_monitor.balances.candidates import (
     Scale,
     balances_in,
     candidate_of,
-    candidates_of,
 )
 from eha_monitor.balances.contact import contacts_of
 from eha_monitor.balances.course import NO_MOTION, Course
@@ -31,7 +30,6 @@ from eha_monitor.balances.mean_pressure import leak_or_source
 from eha_monitor.balances.measured import course_of, courses_of
 from eha_monitor.balances.model import LOAD, Model, of_machine, of_recordings, on_held_out
 from eha_monitor.balances.named import (
-    DRY_SYMBOLS,
     config_effects,
     effects_of,
     error_of_area,
@@ -42,7 +40,6 @@ from eha_monitor.balances.named import (
 )
 from eha_monitor.balances.parameters import Stiffness, stiffness_of
 from eha_monitor.balances.policy import POLICY, Policy
-from eha_monitor.balances.table import pooled_table, tables_of
 from eha_monitor.balances.together import of_one_machine
 from eha_monitor.errors import InputError
 from eha_monitor.mismatch.diagnosis import (
@@ -147,62 +144,6 @@ def first_answer(recordings: Sequence[Recording], settings: Settings, asked: Ask
         return answered(recordings, settings, asked)
     except InputError:
         return None
-
-
-def far_from_config(found: Diagnosis | None, policy: Policy = POLICY) -> bool:
-    """Tell whether a filter built on the config's laws may be unable to judge what is named.
-
-    A filter weighs each sample's innovation: where the config leaves ``near`` of a balance open,
-    or friction is dry, whose law nobody knows, it answers for the form of its laws and not for the
-    machine.  The balances have then named what halves the error on unseen parts, or friction.
-    """
-    if found is None or found.verdict != "mismatch":
-        return False
-    return any(DRY_SYMBOLS & effect.parameters.keys() for effect in found.effects) or any(
-        leaves_more(fit.before_rms / fit.signal_rms, fit.after_rms / fit.signal_rms, policy)
-        for fit in found.signals.values())
-
-
-def force_is_closed(found: Diagnosis, policy: Policy = POLICY) -> bool:
-    """Tell whether what is named leaves no more of the force than the sensors make.
-
-    Friction, whose law nobody knows, is then none, or as it is written: a filter can judge what
-    is smaller, and its search is made to the end.
-    """
-    force = found.signals.get("force")
-    return force is not None and force.after_rms <= policy.clean * force.noise_rms
-
-
-def agrees_closely(found: Diagnosis | None, policy: Policy = POLICY) -> bool:
-    """Tell whether the config's own model leaves no more of any balance than anybody repairs.
-
-    A law of a real machine is never the config's, and a filter that weighs each sample sees that
-    long before it is a share ``worse`` of a force or a flow.
-    """
-    return found is not None and found.verdict == "consistent" and bool(found.signals) and all(
-        one.after_rms <= policy.worse * one.signal_rms for one in found.signals.values())
-
-
-def force_left(recordings: Sequence[Recording], settings: Settings, policy: Policy = POLICY
-               ) -> float:
-    """Return the rms of the force that the config's own model leaves on unseen parts, N.
-
-    B and the constant load are fitted there.
-
-    Raises
-    ------
-    InputError
-        If a recording has no force balance.
-    """
-    rig, courses = settings.rig, courses_of(recordings, settings)[1]
-    base = tuple(one for one in candidates_of("force", Scale.of(courses), rig) if one.always)
-    whole = pooled_table(tables_of(courses, rig, "force", base, policy))
-    return whole.rms(whole.crosswise([*whole.places])) * whole.size
-
-
-def leaves_more(before: float, after: float, policy: Policy) -> bool:
-    """Tell whether a model leaves ``near`` of a balance, another less than ``open`` of that."""
-    return before > policy.near and after < policy.open * before
 
 
 def still(recordings: Sequence[Recording], courses: Sequence[Course], baselines: tuple,

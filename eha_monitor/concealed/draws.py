@@ -34,7 +34,7 @@ CHANNELS = {
 SETS = {0: 0.15, 1: 0.45, 2: 0.2, 3: 0.1, "outside": 0.1}
 STRENGTHS = (0.03, 1.2)
 # Half of all controllers are computers; half of these read the sensor that is recorded.
-DRIVES = {"analogue": 0.5, "digital": 0.25, "digital_own": 0.25}
+DRIVE_SHARES = {"analogue": 0.5, "digital": 0.25, "digital_own": 0.25}
 PAPER_RIG = 0.3  # share of the cases on the paper's own rig
 # Kind -> its share of the cases of ``mixed``.
 SHARES = {"exact": 0.4, "within": 0.4, "beyond": 0.2}
@@ -84,7 +84,7 @@ def draw_cases(n: int, seed: int, *, rig: str = "mixed", sets: dict = SETS) -> l
 
 
 def _drive(rng: np.random.Generator) -> str:
-    return str(rng.choice(list(DRIVES), p=list(DRIVES.values())))
+    return str(rng.choice(list(DRIVE_SHARES), p=list(DRIVE_SHARES.values())))
 
 
 def _draw(name: str, rng: np.random.Generator, sets: dict) -> Case:

@@ -20,7 +20,6 @@ from eha_monitor.settings.rig import Rig
 
 SMOOTHED = 5  # samples on each side over which the mean pressure is smoothed
 LINE = NAMES.index("line_dynamics")
-VALVES = ("relief_valve", "anti_cavitation")  # of the conductance k beyond a pressure
 NEAR = 3.0  # times the noise of a pressure sensor
 STIFF_VALVE = 0.5  # times in a sample that a chamber settles by it
 FLOW_BALANCE = {s.FLOW_1, s.FLOW_2, s.COMPLIANCE_1, s.COMPLIANCE_2, s.VOLUME_1, s.VOLUME_2}
@@ -170,8 +169,9 @@ def stiff_valves(settings: Settings) -> tuple[str, ...]:
     if None in (rig.area_1, rig.area_2, rig.volume_1, rig.volume_2):
         return ()
     stiffness = rig.bulk_modulus / min(rig.volume_1, rig.volume_2) * rig.sample_time
-    return tuple(name for name in VALVES
-                 if settings.effects.get(name, {}).get("k", 0.0) * stiffness > STIFF_VALVE)
+    return tuple(name for name, values in settings.effects.items()
+                 if name in CATALOGUE and CATALOGUE[name].valve
+                 and values["k"] * stiffness > STIFF_VALVE)
 
 
 def valve_open(model: RigModel, channels: dict, noise: float) -> np.ndarray:
@@ -180,10 +180,11 @@ def valve_open(model: RigModel, channels: dict, noise: float) -> np.ndarray:
     p1, p2 = channels["p1"], channels["p2"]
     found = np.zeros(len(p1), dtype=bool)
     for name in model.valves:
-        if name == "anti_cavitation":
-            found |= np.fmin(p1, p2) < effects[name]["p_min"] + near
+        opens = effects[name][CATALOGUE[name].parameters[1].name]
+        if CATALOGUE[name].valve == "below":
+            found |= np.fmin(p1, p2) < opens + near
         else:
-            found |= np.abs(p1 - p2) > effects[name]["p_c"] - near
+            found |= np.abs(p1 - p2) > opens - near
     # As far as the mean pressure, of which stage two takes its own, mixes neighbours.
     return np.convolve(found, np.ones(2 * SMOOTHED + 1), mode="same") > 0.5
 

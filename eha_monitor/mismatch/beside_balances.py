@@ -4,16 +4,119 @@ Both answer for the same recordings; where they contradict each other, what each
 force on unseen data decides, and which needs fewer names.
 """
 
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
 import numpy as np
 
-from eha_monitor.balances.answer import Asked, first_answer, force_left
+from eha_monitor.balances.answer import Asked, first_answer
+from eha_monitor.balances.candidates import Scale, candidates_of
+from eha_monitor.balances.measured import courses_of
+from eha_monitor.balances.named import DRY_SYMBOLS
 from eha_monitor.balances.policy import POLICY, Policy
+from eha_monitor.balances.table import pooled_table, tables_of
 from eha_monitor.mismatch.diagnosis import Diagnosis, Gate, Value
 from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.quantity import with_uncertainty
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings.monitor import Settings
 from eha_monitor.words import effect_words, listed
+
+
+class Filtered(NamedTuple):
+    """What a filter answers, and how near it comes to the recordings.
+
+    settings : config with what the recordings decide of the drive.
+    follows : its innovations are those of its noise, with what it names.
+    lacks : more than ``SearchPolicy.lacking`` of a log unit to a sample.
+    """
+
+    answer: Diagnosis
+    settings: Settings
+    follows: bool
+    lacks: bool
+
+
+def instead_of_filter(first: Diagnosis, filtered: Filtered, recordings: list[Recording],
+                      settings: Settings, asked: Asked, policy: Policy = POLICY
+                      ) -> Diagnosis | None:
+    """Return what least squares answer where it stands, not what a filter does; None elsewhere."""
+    found = filtered.answer
+    judges = recordings if asked.held_out is None else [asked.held_out]
+    agrees = agrees_closely(first, policy)
+    beyond = far_from_config(first, policy) or bool(first.learned)
+    # Where a filter leaves something, its names make up for laws that it does not have.
+    if found.verdict == "mismatch" and not filtered.follows and (agrees or beyond):
+        return first
+    if beyond and explains_more(first, found, judges, filtered.settings, policy):
+        return first
+    apart = contradicted(first, found, policy)
+    if apart and not (defends(found, first, judges, filtered.settings, policy)
+                      or needs_fewer(found, first, recordings, settings, asked, policy)):
+        return replace(first, gates=(*first.gates, *apart))
+    if found.verdict != "unexplained" or found.learned:
+        return None
+    # Innovations of another form than the config's laws are no mismatch of this machine, and no
+    # balance is theirs.
+    open_ = first.verdict != "mismatch" and not force_is_closed(first, policy)
+    return first if agrees or beyond or (open_ and filtered.lacks) else None
+
+
+def far_from_config(found: Diagnosis | None, policy: Policy = POLICY) -> bool:
+    """Tell whether a filter built on the config's laws may be unable to judge what is named.
+
+    A filter weighs each sample's innovation: where the config leaves ``near`` of a balance open,
+    or friction is dry, whose law nobody knows, it answers for the form of its laws and not for the
+    machine.  The balances have then named what halves the error on unseen parts, or friction.
+    """
+    if found is None or found.verdict != "mismatch":
+        return False
+    return any(DRY_SYMBOLS & effect.parameters.keys() for effect in found.effects) or any(
+        leaves_more(fit.before_rms / fit.signal_rms, fit.after_rms / fit.signal_rms, policy)
+        for fit in found.signals.values())
+
+
+def force_is_closed(found: Diagnosis, policy: Policy = POLICY) -> bool:
+    """Tell whether what is named leaves no more of the force than the sensors make.
+
+    Friction, whose law nobody knows, is then none, or as it is written: a filter can judge what
+    is smaller, and its search is made to the end.
+    """
+    force = found.signals.get("force")
+    return force is not None and force.after_rms <= policy.clean * force.noise_rms
+
+
+def agrees_closely(found: Diagnosis, policy: Policy = POLICY) -> bool:
+    """Tell whether the config's own model leaves no more of any balance than anybody repairs.
+
+    A law of a real machine is never the config's, and a filter that weighs each sample sees that
+    long before it is a share ``worse`` of a force or a flow.
+    """
+    return found.verdict == "consistent" and bool(found.signals) and all(
+        one.after_rms <= policy.worse * one.signal_rms for one in found.signals.values())
+
+
+def force_left(recordings: Sequence[Recording], settings: Settings, policy: Policy = POLICY
+               ) -> float:
+    """Return the rms of the force that the config's own model leaves on unseen parts, N.
+
+    B and the constant load are fitted there.
+
+    Raises
+    ------
+    InputError
+        If a recording has no force balance.
+    """
+    rig, courses = settings.rig, courses_of(recordings, settings)[1]
+    base = tuple(one for one in candidates_of("force", Scale.of(courses), rig) if one.always)
+    whole = pooled_table(tables_of(courses, rig, "force", base, policy))
+    return whole.rms(whole.crosswise([*whole.places])) * whole.size
+
+
+def leaves_more(before: float, after: float, policy: Policy) -> bool:
+    """Tell whether a model leaves ``near`` of a balance, another less than ``open`` of that."""
+    return before > policy.near and after < policy.open * before
 
 
 def explains_more(first: Diagnosis, found: Diagnosis, recordings: list[Recording],

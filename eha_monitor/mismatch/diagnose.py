@@ -9,14 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from eha_monitor import ties
-from eha_monitor.balances.answer import (
-    Asked,
-    agrees_closely,
-    answered,
-    far_from_config,
-    first_answer,
-    force_is_closed,
-)
+from eha_monitor.balances.answer import Asked, answered, first_answer
 from eha_monitor.balances.baseline import baseline
 from eha_monitor.balances.candidates import FORCE_OF_SENSORS
 from eha_monitor.balances.change_point import since_change
@@ -26,10 +19,10 @@ from eha_monitor.breakdown import computing
 from eha_monitor.estimation.hold_choice import resolved
 from eha_monitor.mismatch.advise import advice as advise
 from eha_monitor.mismatch.beside_balances import (
-    contradicted,
-    defends,
-    explains_more,
-    needs_fewer,
+    Filtered,
+    far_from_config,
+    force_is_closed,
+    instead_of_filter,
 )
 from eha_monitor.mismatch.data.experiment import (
     Experiment,
@@ -191,26 +184,13 @@ def _diagnosed(recordings: list[Recording], settings: Settings, held_out: Record
         return Answered(by_first(first, started), None, False)
     naming = named and named[1]
     found = diagnosed(recordings, experiment, named, held_out, started, say, hypothesis)
-    # Where a filter leaves something, its names make up for laws that it does not have.
-    led_astray = found.verdict == "mismatch" and not (naming and follows(naming))
-    judges = recordings if held_out is None else [held_out]
-    curve = hypothesis is None and first is not None and bool(first.learned)
-    agrees = hypothesis is None and agrees_closely(first)
-    if (agrees and led_astray) or ((far or curve) and (led_astray or explains_more(
-            first, found, judges, experiment.settings))):
-        return Answered(by_first(first, started), naming, False)
-    apart = () if hypothesis is not None or first is None else contradicted(first, found)
-    if apart and not (defends(found, first, judges, experiment.settings)
-                      or needs_fewer(found, first, recordings, settings, asked)):
-        return Answered(by_first(replace(first, gates=(*first.gates, *apart)), started), naming,
-                        False)
-    # Innovations of another form than the config's laws are no mismatch of this machine, and no
-    # balance is theirs.
-    unanswered = found.verdict == "unexplained" and not found.learned
-    if unanswered and (far or curve or agrees or (hypothesis is None and first is not None and (
-            first.verdict != "mismatch" and not force_is_closed(first) and named
-            and lack_of(named[0], named[1].after) > experiment.policy.lacking))):
-        return Answered(by_first(first, started), naming, False)
+    if hypothesis is None and first is not None:
+        instead = instead_of_filter(first, Filtered(
+            found, experiment.settings, bool(naming and follows(naming)), bool(named and (
+                lack_of(named[0], named[1].after) > experiment.policy.lacking))),
+            recordings, settings, asked)
+        if instead is not None:
+            return Answered(by_first(instead, started), naming, False)
     decided = decision is not None and decision.decided
     after = {name: replace(one, stddev=float(np.hypot(one.stddev, end.apart.get(name, 0.0))))
              for name, one in found.after.items()}

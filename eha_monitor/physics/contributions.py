@@ -47,16 +47,15 @@ _TURNS_OVER = np.array([*(next((slot_of(which).start + i for i, p in enumerate(e
                           for which, effect in enumerate(_EFFECTS)), *(-1,) * SLOTS])
 
 
-def _valve(name: str, pressure: str) -> tuple[int, int, int]:
+def _valve(opens: str) -> tuple[int, int, int]:
     """Return a valve's place among the effects, and those of its k and pressure in theta."""
-    which = NAMES.index(name)
-    symbols = [p.name for p in _EFFECTS[which].parameters]
+    which = next(which for which, effect in enumerate(_EFFECTS) if effect.valve == opens)
     start = slot_of(which).start
-    return which, start + symbols.index("k"), start + symbols.index(pressure)
+    return which, start, start + 1
 
 
-CHECK_VALVE, CHECK_VALVE_K, CHECK_VALVE_P = _valve("anti_cavitation", "p_min")
-RELIEF_VALVE, RELIEF_VALVE_K, RELIEF_VALVE_P = _valve("relief_valve", "p_c")
+CHECK_VALVE, CHECK_VALVE_K, CHECK_VALVE_P = _valve("below")
+RELIEF_VALVE, RELIEF_VALVE_K, RELIEF_VALVE_P = _valve("beyond")
 
 
 def _parameters(which: int) -> str:

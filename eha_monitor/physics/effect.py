@@ -151,6 +151,8 @@ class Effect:
         where it is large.
     within : (size, other) pairs: the first is at most as large as the second, or it is another
         effect (friction that differs by more than itself is a load).
+    valve : where one of conductance ``k`` opens, ``below`` a pressure of a chamber or ``beyond`` a
+        difference of both; the pressure is its second parameter.
     rig_twin : number of the rig that does the same when it is wrong: one cannot be distinguished
         from the other.
     rarity : the larger, the less common on rigs; decides where a recording cannot.
@@ -178,6 +180,7 @@ class Effect:
     passive: str = ""
     within: tuple[tuple[str, str], ...] = ()
     mimics: str = ""
+    valve: str = ""
     rig_twin: str = ""
     rarity: int = 1
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from eha_monitor.balances.answer import Asked, answered, far_from_config, first_answer
+from eha_monitor.balances.answer import Asked, answered, first_answer
 from eha_monitor.balances.candidates import Scale, balances_in, candidates_of
 from eha_monitor.balances.contact import contacts_of
 from eha_monitor.balances.least_squares import inverse_of
@@ -40,6 +40,7 @@ from eha_monitor.mismatch.advise.separate import (
     try_motions,
 )
 from eha_monitor.mismatch.advise.words import sentences
+from eha_monitor.mismatch.beside_balances import far_from_config
 from eha_monitor.mismatch.data.experiment import Experiment, by_balances, experiment_of
 from eha_monitor.mismatch.data.inputs import FORCED
 from eha_monitor.mismatch.diagnosis import Diagnosis

@@ -174,6 +174,7 @@ RELIEF_VALVE = Effect(
               "beyond that",
     rig_check="Read the setting of the relief valves; drive against a stop: the pressure "
     "difference must flatten at p_c.",
+    valve="beyond",
     starts=relief_valve_starts,
 )
 
@@ -211,6 +212,7 @@ ANTI_CAVITATION = Effect(
     reads=(P1, P2),
     statement="a check valve feeds a chamber below {p_min}, with {k} of pressure deficit",
     rig_check="Watch the lower pressure in a fast move: it must stay flat at p_min.",
+    valve="below",
     starts=anti_cavitation_starts,
     rarity=2,
 )
