@@ -13,10 +13,10 @@ from eha_monitor.quantity import quantity
 _PINT = {"1": "dimensionless", "N·s/m": "N*s/m", "m³": "m**3", "m²": "m**2",
          "m³/rad": "m**3/rad", "m³/(s·Pa)": "m**3/s/Pa", "rad/(s·m)": "rad/s/m",
          "°C": "degC", "1/K": "1/kelvin", "m/s²": "m/s**2", "m³/s": "m**3/s", "mm²/s": "mm**2/s",
-         "kg·m²": "kg*m**2", "N·m·s/rad": "N*m*s/rad", "N·m/rad": "N*m/rad"}
+         "kg·m²": "kg*m**2", "N·m·s/rad": "N*m*s/rad", "N·m/rad": "N*m/rad", "N·m": "N*m"}
 # Units of the numbers of a rig that turns, by those of one that moves along a line.
 TURNING = {"m": "rad", "m²": "m³/rad", "kg": "kg·m²", "N·s/m": "N·m·s/rad",
-           "rad/(s·m)": "1/s", "N/m": "N·m/rad"}
+           "rad/(s·m)": "1/s", "N/m": "N·m/rad", "N": "N·m"}
 
 _COMMA = re.compile(r"\d,\d")
 _REV = re.compile(r"(?<=/)\s*rev\b")  # as pumps are sold: 1.6 cm^3/rev

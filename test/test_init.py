@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 from bag_tools import START, number, write_mcap
 from command_tools import refused
 from hypothesis import given, settings
@@ -285,7 +286,8 @@ def test_a_mat_file_without_names(tmp_path, capsys):
 
 
 def entries(*answers, span=None):
-    from eha_monitor.draft.rig import Seen, effects_of, rig_entries, tolerances
+    from eha_monitor.draft.effects import effects_of
+    from eha_monitor.draft.rig import Seen, rig_entries, tolerances
 
     said, seen = answers_of(answers), Seen(1e-3, span=span)
     rig = rig_entries(said, seen, False, "a")
@@ -324,6 +326,12 @@ def test_bore_rod_and_stroke():
     ("pump_displacement=5.2", "such as '1.6 cm^3/rev'"),
     ("stroke=50 mm", "expected at least the 72.8 mm that x moves in the recording"),
     ("mass=nan", "at least 0"),
+    ("check_valve=9 l/min at 5", "expected a flow at a pressure, both with their units"),
+    ("check_valve=9 l/min at -5 bar", "expected a flow at a pressure"),
+    ("check_valve=3e-9", "expected a flow at a pressure"),
+    ("leakage=0.1 bar at 100 bar", "expected a flow in m³/s"),
+    ("relief_pressure=180", "a number alone is in Pa"),
+    ("friction=1 bar", "expected dry friction of seals and guides in N"),
 ])
 def test_a_bad_answer_is_one_line(tmp_path, capsys, answer, said):
     file = german(tmp_path / "a.csv")
@@ -507,6 +515,40 @@ def test_a_load_becomes_an_effect_that_the_model_has():
     assert not entries("load=unknown")[1]
 
 
+@pytest.mark.parametrize(("answers", "effect", "values"), [
+    # 9 l/min in the 0.2 bar beyond the 0.3 bar at which it opens, below 17 bar.
+    (("check_valve=9 l/min at 0.5 bar", "check_valve_opens=0.3 bar", "charge_pressure=17 bar"),
+     "anti_cavitation", {"k": 9e-3 / 60 / 0.2e5, "p_min": 16.7e5}),
+    (("check_valve=9 l/min at 0.5 bar", "charge_pressure=17 bar"), "anti_cavitation",
+     {"k": 9e-3 / 60 / 0.5e5, "p_min": 17e5}),
+    (("check_valve=none", "charge_pressure=17 bar"), "anti_cavitation", None),
+    (("check_valve=9 l/min at 0.5 bar",), "anti_cavitation", None),  # below what nobody has told
+    (("relief_valve=20 l/min at 10 bar", "relief_pressure=180 bar"), "relief_valve",
+     {"k": 20e-3 / 60 / 10e5, "p_c": 180e5}),
+    (("relief_valve=20 l/min at 10 bar",), "relief_valve", None),
+    (("friction=120 N",), "coulomb_friction", {"F_c": 120.0}),
+    (("motion=rotary", "friction=12 N m"), "coulomb_friction", {"F_c": 12.0}),
+    (("drive_lag=2 ms",), "drive_lag", {"tau": 2e-3}),
+    (("drive_lag=80 Hz",), "drive_lag", {"tau": 1 / (2 * np.pi * 80)}),
+    (("drive_lag=none",), "drive_lag", None)])
+def test_what_a_data_sheet_says_of_valves_friction_and_drive_is_in_the_config(answers, effect,
+                                                                              values):
+    _, effects, _ = entries(*answers)
+    if values is None:
+        assert effect not in effects
+        return
+    written = settings_from_tree({"effects": {effect: yaml.safe_load(effects[effect].value)}},
+                                 "the draft").effects[effect]
+    assert {name: written[name] for name in values} == pytest.approx(values, rel=1e-3)
+
+
+def test_a_leakage_is_answered_as_a_flow_at_a_pressure():
+    """C_T/2 times a pressure difference is the flow: half of C_T is what a test stand shows."""
+    found, _, spread = entries("leakage=0.15 l/min at 100 bar")
+    assert float(found["leakage"]) == pytest.approx(2 * 0.15e-3 / 60 / 100e5)
+    assert spread["leakage"] == entries("leakage=5e-13")[2]["leakage"] < entries()[2]["leakage"]
+
+
 @pytest.mark.parametrize(("answers", "load"), [
     (("bore=40 mm", "rod=25 mm"), 101_325 * np.pi / 4 * 0.025**2),
     (("bore=40 mm", "rod=25 mm", "load=none"), 101_325 * np.pi / 4 * 0.025**2),
@@ -606,15 +648,20 @@ def test_a_person_at_a_terminal_is_asked(tmp_path):
          str(tmp_path / "r.yaml")], stdin=follower, stdout=subprocess.PIPE,
         stderr=subprocess.PIPE, text=True, cwd=ROOT)
     # machine, load, pressures, bore (first nonsense), rod and stroke (first impossible),
-    # where x = 0 lies, lines, mass, pump, leakage, charge: as asked, in order.
+    # where x = 0 lies, lines, mass, pump, leakage, charge, valves, friction, drive: as asked.
     os.write(leader, b"double_rod\nnone\nabsolute\nforty\n40 mm\n45 mm\n25 mm\n50 mm\n100 mm\n"
-             b"middle\n20 cm^3\n30 kg\n\n\n\n\n")
+             b"middle\n20 cm^3\n30 kg\n\n\n20 bar\nforty\n9 l/min at 0.5 bar\n"
+             b"0.3 bar\nnone\n90 N\n\n\n\n")
     _, err = process.communicate(timeout=60)
     os.close(leader)
     os.close(follower)
     assert process.returncode == 0, err
     assert "expected bore of the cylinder" in err
     assert "expected a rod thinner than the bore" in err
+    assert "expected a flow at a pressure" in err
+    effects = load_settings(tmp_path / "r.yaml").effects
+    assert effects["anti_cavitation"]["p_min"] == pytest.approx(19.7e5)
+    assert effects["coulomb_friction"]["F_c"] == 90.0 and "relief_valve" not in effects
     assert "that x moves in the recording" in err
     rig = load_settings(tmp_path / "r.yaml").rig
     assert rig.area_1 == pytest.approx(np.pi / 4 * (0.04**2 - 0.025**2), rel=1e-4)

@@ -20,18 +20,21 @@ SHEET = (
     ("pump_displacement", "pump displacement, of two pumps chamber 1's, such as "
      "1.6 cm^3/rev"),
     ("charge_pressure", "absolute pressure of the make-up source, such as 20 bar or 19 bar gauge"),
-    ("leakage", "leakage coefficient in m³/(s·Pa), such as 5e-13"),
+    ("leakage", "leakage of all paths, such as 0.15 l/min at 100 bar, or C_T in m³/(s·Pa)"),
 )
 # Key of the config -> questions that answer it.
 _ANSWERS = {"area_1": ("bore",), "area_2": ("rod", "rods"), "volume_1": ("stroke", "line_volume"),
-            "volume_2": ("stroke", "line_volume")}
+            "volume_2": ("stroke", "line_volume"),
+            "parts": ("check_valve", "relief_valve", "friction", "drive_lag")}
 # What a rotary actuator is asked in place of bore, rod, stroke and mass of a cylinder.
 _ROTARY = {"bore": ("area_1", "displacement of the actuator, such as 120 cm^3/rad"),
            "stroke": ("stroke", "whole angle, such as 270 deg"),
-           "mass": ("mass", "moment of inertia, such as 3 kg m^2")}
+           "mass": ("mass", "moment of inertia, such as 3 kg m^2"),
+           "friction": ("friction", "dry friction of seals, such as 12 N m, or none")}
 # Question -> those that its answer makes sensible, and with which answer ("": any).
 _THEN = {"load": (("gravity", "inclination"), ("spring", "spring"), ("spring", "spring_rest")),
-         "stroke": (("", "zero"),)}
+         "stroke": (("", "zero"),), "check_valve": (("", "check_valve_opens"),),
+         "relief_valve": (("", "relief_pressure"),)}
 
 
 @click.command()
@@ -73,17 +76,17 @@ def init(file: Path, out: Path, given: tuple[str, ...], yes: bool, overwrite: bo
 def _asked(draft, answers, given):
     """Ask at the terminal for what is open; an empty answer leaves it open."""
     from eha_monitor.draft.answers import CHOICES, answers_of
-    from eha_monitor.draft.rig import QUESTIONS, Seen, seen_in
+    from eha_monitor.draft.rig import PARTS, QUESTIONS, Seen, seen_in
 
     rotary, wanted = answers.turns(draft.map.rotary), []
     seen = Seen(1.0) if draft.recording is None else seen_in(draft.recording)
-    for key, question in draft.asked:
+    for key, question in sorted(draft.asked, key=lambda one: one[0] == "parts"):  # these last
         name = key.removeprefix("rig.")
         if name in (*CHOICES, *QUESTIONS) or key.endswith((".full", ".column")):
             wanted.append((key, question))
             continue
         wanted += [(part, words) for part in _ANSWERS.get(name, (name,))
-                   for of, words in SHEET if of == part]
+                   for of, words in (*SHEET, *PARTS.items()) if of == part]
     if rotary:
         wanted = [_ROTARY.get(key, (key, words)) for key, words in wanted
                   if key not in ("rod", "rods")]
@@ -97,7 +100,7 @@ def _asked(draft, answers, given):
         text = _answer(key, question, said, seen, rotary)
         answers = answers_of(tuple(said))
         wanted[:0] = [(then, QUESTIONS[then]) for on, then in _THEN.get(key, ())
-                      if text and text == (on or text)]
+                      if text and text == (on or text) and not answers.none(key)]
     return answers
 
 

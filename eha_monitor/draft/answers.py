@@ -19,17 +19,31 @@ SHEET = {"bore": ("m", "bore of the cylinder"), "rod": ("m", "diameter of the ro
          "line_volume": ("m³", "oil in the line to one chamber"),
          "inclination": ("rad", "inclination of the axis, positive if growing x lifts the load"),
          "spring": ("N/m", "stiffness of the spring that the load is"),
-         "spring_rest": ("m", "what x reads where that spring is relaxed")}
+         "spring_rest": ("m", "what x reads where that spring is relaxed"),
+         "check_valve": ("m³/(s·Pa)", "flow of a check valve at a pressure drop"),
+         "check_valve_opens": ("Pa", "pressure drop at which a check valve opens"),
+         "relief_valve": ("m³/(s·Pa)", "flow of a relief valve at a pressure beyond its setting"),
+         "relief_pressure": ("Pa", "difference of the chambers' pressures at which a relief valve "
+                             "opens"),
+         "friction": ("N", "dry friction of seals and guides"),
+         "drive_lag": ("s", "time constant of the drive's speed loop")}
+# Answered as a flow at a pressure, as data sheets and test stands have it.
+FLOWS = ("check_valve", "relief_valve", "leakage")
 SIGNED = {"inclination": 0.5001 * pi, "spring_rest": 10.0}  # largest, either sign
 SUCH_AS = {"inclination": "20 deg", "spring_rest": "40 mm"}
 # Smallest and largest of any actuator that turns or travels, SI, beside those of the config's own
 # keys, and how a person writes one: what lies outside has lost its unit.
 _POSSIBLE = {"bore": (1e-3, 2.0), "rod": (1e-3, 2.0), "stroke": (1e-4, 50.0),
-             "line_volume": (1e-9, 1.0), "spring": (1.0, 1e12)}
+             "line_volume": (1e-9, 1.0), "spring": (1.0, 1e12),
+             "check_valve_opens": (1.0, 1e7), "relief_pressure": (1e4, 1e9),
+             "friction": (1e-3, 1e7), "drive_lag": (1e-6, 10.0)}
 _SUCH_AS = {"bore": "40 mm", "rod": "25 mm", "stroke": "200 mm", "line_volume": "10 cm^3",
             "area_1": "5.05 cm^2", "area_2": "5.05 cm^2", "volume_1": "68.5 cm^3",
             "volume_2": "68.5 cm^3", "mass": "20 kg", "pump_displacement": "1.6 cm^3/rev",
-            "charge_pressure": "20 bar", "ambient_pressure": "1 bar", "leakage": "5e-13",
+            "charge_pressure": "20 bar", "ambient_pressure": "1 bar",
+            "leakage": "0.15 l/min at 100 bar", "check_valve": "9 l/min at 0.5 bar",
+            "relief_valve": "20 l/min at 10 bar", "check_valve_opens": "0.3 bar",
+            "relief_pressure": "180 bar", "friction": "120 N", "drive_lag": "2 ms",
             "makeup_conductance": "1e-13", "spring": "8000 N/m", "sample_time": "1 ms"}
 # Questions with a few answers; the config's numbers, effects and units follow from them.
 CHOICES = {
@@ -41,7 +55,8 @@ CHOICES = {
 }
 # Machine -> what it does not have: null in the config, and nobody is asked for it.
 _OIL = ("stroke", "line_volume", "zero", "volume_1", "volume_2", "pump_displacement",
-        "position_gain", "leakage", "makeup_conductance")
+        "position_gain", "leakage", "makeup_conductance", "check_valve", "relief_valve",
+        "drive_lag")
 NOT_OF = {"valve": _OIL, "force": (*_OIL, "bore", "rod", "rods", "area_1", "area_2", "pressures",
                                    "charge_pressure"),
           "double_rod": ("rods",), "two_pumps": ("rods",), "accumulator": ("rods",)}
@@ -71,6 +86,10 @@ class Answers:
         if text is None or text.casefold() in _NULL:
             return None
         return checked(key, text)
+
+    def none(self, key: str) -> bool:
+        """Tell whether it was answered that there is none."""
+        return self.rig.get(key, "").casefold() in _NULL
 
     def middle(self) -> float | None:
         """Return the reading of x in the middle of the stroke, m, where that was answered."""
@@ -156,6 +175,11 @@ def checked(key: str, text: str, unit: str = "") -> float | None:
     si = unit or (SHEET[key][0] if key in SHEET else
                   (fields[key].json_schema_extra or {}).get("unit", "1"))
     words = SHEET[key][1] if key in SHEET else (fields[key].description if key in fields else key)
+    if key in FLOWS and not unit and (passed := flow_at(key, text)):
+        flow, drop = passed
+        return flow / drop * (2.0 if key == "leakage" else 1.0)  # C_T is of half a difference
+    if key == "drive_lag" and text.casefold().endswith("hz"):  # a bandwidth
+        text = f"{1.0 / (2.0 * pi * max(to_si_of(key, text, 'Hz', words), 1e-9)):.4g} s"
     number = to_si_of(key, text, si, words, key in _PRESSURES and not unit)
     if key in SIGNED and not unit:
         if not abs(number) <= SIGNED[key]:
@@ -172,6 +196,27 @@ def checked(key: str, text: str, unit: str = "") -> float | None:
         raise InputError(f"--set {key}: expected {words.partition(';')[0]} from {low} to {high}"
                          f"{such_as}, got '{text}'{unit_lost}")
     return number
+
+
+def flow_at(key: str, text: str) -> tuple[float, float] | None:
+    """Return flow (m³/s) and pressure (Pa) of ``9 l/min at 0.5 bar``; None of a leakage alone.
+
+    Raises
+    ------
+    InputError
+        If one of them is no such quantity, or not above 0.
+    """
+    flow, at, drop = (part.strip() for part in text.partition(" at "))
+    if not at and key == "leakage":
+        return None
+    wanted = InputError(f"--set {key}: expected a flow at a pressure, both with their units, such "
+                        f"as '{_SUCH_AS[key]}', got '{text}'")
+    if not at or _alone(flow) or _alone(drop):
+        raise wanted
+    found = (to_si_of(key, flow, "m³/s", "a flow"), to_si_of(key, drop, "Pa", "a pressure"))
+    if not (found[0] >= 0.0 and found[1] > 0.0):
+        raise wanted
+    return found
 
 
 def _alone(text: str) -> bool:

@@ -1,15 +1,14 @@
 """The rig of a draft: what was answered (``--set``), what follows, what the recording shows.
 
-Its numbers, their tolerances, the effects of a load, and the choices that are still to be made.
+Its numbers, their tolerances, and the choices that are still to be made.
 """
 
 from dataclasses import dataclass, replace
-from math import degrees, pi, sin
+from math import degrees, pi
 
 import numpy as np
 
-from eha_monitor.draft.answers import Answers
-from eha_monitor.errors import InputError
+from eha_monitor.draft.answers import FLOWS, Answers, flow_at
 from eha_monitor.quantity import quantity
 from eha_monitor.settings.rig import Rig
 
@@ -18,14 +17,13 @@ FREE = 0.9  # of the highest speed seen: a drive that is asked for less is at no
 LEANS = 0.25  # of the unexplained share: how far that may pull the gain
 PAPER = "default of the paper"
 MEAN_FREE = "the mean of both pressures"
-GRAVITY = 9.81  # m/s²
 # Key -> tolerance where it was answered, where it follows from other numbers or the recording,
 # where nobody knows it and the paper's stands in its place.
 _TOLERANCES = {"area_1": (0.005, 0.01, 0.0), "area_2": (0.005, 0.01, 0.0),
                "volume_1": (0.05, 0.1, 0.3), "volume_2": (0.05, 0.1, 0.3),
                "mass": (0.05, 0.1, 0.5), "pump_displacement": (0.03, 0.03, 0.0),
                "position_gain": (0.03, 0.01, 0.0), "charge_pressure": (0.2, 0.1, 0.5),
-               "leakage": (3.0, 3.0, 10.0), "makeup_conductance": (3.0, 3.0, 10.0)}
+               "leakage": (2.0, 3.0, 10.0), "makeup_conductance": (3.0, 3.0, 10.0)}
 _FACTORS = ("leakage", "makeup_conductance")
 LOADS = {"gravity": ("inclination",), "spring": ("spring", "spring_rest")}
 QUESTIONS = {
@@ -40,6 +38,19 @@ QUESTIONS = {
     "zero": "x = 0 of the position lies at the middle of the stroke, or at the end with the rod "
             "retracted or extended; or what x reads in the middle, such as 137 mm",
     "pressures": "pressures are absolute or gauge (0 bar in the open air); absolute until told",
+    "check_valve_opens": "pressure drop at which a check valve opens, such as 0.3 bar",
+    "relief_pressure": "difference of the chambers' pressures at which the relief valve opens, "
+                       "such as 180 bar",
+}
+# What a machine may have beside the numbers of its rig, and how its data sheet says it.
+PARTS = {
+    "check_valve": "check valves that feed a chamber from the charge pressure, such as 9 l/min at "
+                   "0.5 bar, or none",
+    "relief_valve": "relief valve between the chambers, its flow at a pressure beyond its "
+                    "setting, such as 20 l/min at 10 bar, or none",
+    "friction": "dry friction of seals and guides, such as 120 N, or none",
+    "drive_lag": "time constant of the drive's speed loop, such as 2 ms, or its bandwidth, such "
+                 "as 80 Hz, or none",
 }
 
 
@@ -104,8 +115,8 @@ def rig_entries(answers: Answers, seen: Seen, rotary: bool, name: str) -> list[E
         _told(answers, "pump_displacement", "of the pump", "1.6 cm^3/rev", seen_pump(
             answers, area_1, seen)),
         _gain(answers, seen),
-        _told(answers, "leakage", "m³/(s·Pa), all paths together; affects βe in slow motion",
-              "5e-13"),
+        _told(answers, "leakage", "of all paths together; affects βe in slow motion",
+              "0.15 l/min at 100 bar, or twice that flow over its pressure, 5e-13"),
         _makeup(answers), _charge(answers, seen, area_1, area_2),
         Entry("sample_time", number(seen.sample_time), "values: the usual step of the time")
         if "sample_time" not in given else _answered(answers, "sample_time"),
@@ -135,6 +146,8 @@ def _answered(answers: Answers, key: str) -> Entry:
     plain = text.casefold()
     if plain in ("null", "none", "-"):
         return Entry(key, "null", "answered: none, or unknown")
+    if key in FLOWS and flow_at(key, text):
+        return Entry(key, number(answers.number(key)), f"answered: {text}; C_T is twice that")
     try:
         return Entry(key, number(float(text)), "answered")
     except ValueError:
@@ -312,65 +325,9 @@ def _charge(answers: Answers, seen: Seen, *areas: Entry) -> Entry:
     if seen.charge and seen.charge > 0 and own[0] == own[1] and own[0]:
         return Entry("charge_pressure", number(seen.charge), f"values: {MEAN_FREE}")
     return Entry("charge_pressure", number(Rig.model_fields["charge_pressure"].default),
-                 f"absolute, of the make-up source, such as 20 bar; this is the {PAPER}", True)
-
-
-def effects_of(answers: Answers, entries: list[Entry], seen: Seen) -> list[Entry]:
-    """Return the lines of ``effects``: a constant load, a spring, volumes that change with x.
-
-    F = A1 p1 - A2 p2 is of absolute pressures, so what the open air does to the rod's own end,
-    p_a (A1 - A2) against growing x, is a load, whatever zero the sensors have.
-
-    Raises
-    ------
-    InputError
-        If the load is one that a rotary actuator has not.
-    """
-    turns = any(entry.key == "motion" and entry.value == "rotary" for entry in entries)
-    if turns and answers.rig.get("load") == "gravity":
-        raise InputError("--set load=gravity: expected none, spring or unknown of a rotary "
-                         "actuator, since the torque of a weight changes with the angle; unknown "
-                         "lets diagnose identify it")
-    found, of = [], {entry.key: value_of(entry, answers) for entry in entries
-                     if entry.key in ("area_1", "area_2", "volume_1", "volume_2", "mass")}
-    load, slope, spring = (answers.rig.get("load"), answers.number("inclination"),
-                           answers.number("spring"))
-    weight = (of["mass"] * GRAVITY * sin(slope)
-              if load == "gravity" and slope is not None and "mass" in answers.rig else 0.0)
-    air = 0.0 if turns else _open_air(answers, of["area_1"], of["area_2"])
-    if weight or air:
-        words = [f"weight of the mass at {answers.rig['inclination']}"] if weight else []
-        words += [f"what the open air does to the rod's end, p_a (A1 - A2) = {air:.4g} N"
-                  ] if air else []
-        found.append(Entry("constant_load", f"{{F_0: {number(weight + air)}}}",
-                           f"answered: {' and '.join(words)}, N against growing x"))
-    if load == "spring" and spring:
-        rest = (answers.number("spring_rest") or 0.0) - (
-            (answers.middle() or 0.0) if "spring_rest" in answers.rig else 0.0)
-        found.append(Entry("spring_load", f"{{k: {number(spring)}, x_0: {number(rest)}}}",
-                           f"answered: {answers.rig['spring']}, relaxed at "
-                           f"{answers.rig.get('spring_rest', 'x = 0')}"))
-    zero, who = zero_of(answers, seen)
-    shrinking = of["volume_1" if zero == "extended" else "volume_2"]
-    if zero != "middle" and shrinking and of["area_1"] and not answers.lacks("volume_1"):
-        reach = max(map(abs, seen.span)) if seen.span else answers.number("stroke") or 1.0
-        ratio = (of["area_2"] or of["area_1"]) / of["area_1"]
-        shrinks = 1.0 if zero == "extended" else ratio  # of A_v, how fast that chamber does
-        slope = min(of["area_1"], 0.98 * shrinking / (reach * shrinks))  # some oil is left
-        own = "" if ratio == 1.0 else f", r: {number(ratio)}"
-        found.append(Entry("position_dependent_volume", f"{{A_v: {number(slope)}{own}}}",
-                           f"{who}: x = 0 is at an end; the volumes above hold there and change "
-                           "with x"))
-    return found
-
-
-def _open_air(answers: Answers, area_1: float | None, area_2: float | None) -> float:
-    """Return p_a (A1 - A2), N; nothing where an area is not known."""
-    if not area_1 or not area_2:
-        return 0.0
-    ambient = answers.number("ambient_pressure")
-    return (Rig.model_fields["ambient_pressure"].default if ambient is None else ambient) * (
-        area_1 - area_2)
+                 f"absolute, of the make-up source, such as 20 bar; this is the {PAPER}"
+                 + ("; until told, the config has no check valves" if "check_valve" in answers.rig
+                    and not answers.none("check_valve") else ""), True)
 
 
 def tolerances(entries: list[Entry]) -> list[Entry]:
@@ -379,7 +336,7 @@ def tolerances(entries: list[Entry]) -> list[Entry]:
     for entry in entries:
         if entry.key not in _TOLERANCES or entry.value == "null" or "not used" in entry.why:
             continue
-        of = (2 if entry.ask else 0 if entry.why == "answered" else 1)
+        of = (2 if entry.ask else 0 if entry.why == "answered" or entry.key == "leakage" else 1)
         words = ("data sheet", "computed or seen", "nobody has told it")[of]
         unit = "a factor" if entry.key in _FACTORS else "relative"
         size = max(_TOLERANCES[entry.key][of], entry.off)
@@ -393,16 +350,25 @@ def open_choices(answers: Answers, entries: list[Entry], seen: Seen, gauge_known
     told = answers.rig
     asked = [key for key in ("machine", "load") if key not in told]
     wanted = [key for key in LOADS.get(told.get("load"), ()) if key not in told]
+    if "relief_valve" in told and not answers.none("relief_valve") and (
+            "relief_pressure" not in told):
+        wanted.append("relief_pressure")
     asked += wanted
     if "stroke" in told and not ("volume_1" in told and "volume_2" in told) and (
             not zero_of(answers, seen)[1]):
         asked.append("zero")
     if "pressures" not in told and not gauge_known:
         asked.append("pressures")
-    found = [(key, QUESTIONS[key] + (f"; until told, the config has no load ({told['load']} was "
-                                     "answered)" if key in wanted and key != "spring_rest" else
-                                     "; x = 0 until told" if key == "spring_rest" else ""))
+    found = [(key, QUESTIONS[key] + (
+        "; x = 0 until told" if key == "spring_rest" else
+        "; until told, the config has no relief valve" if key == "relief_pressure" else
+        f"; until told, the config has no load ({told['load']} was answered)"
+        if key in wanted else ""))
              for key in asked if not answers.lacks(key)]
+    parts = [key for key in PARTS if not answers.lacks(key)]
+    if not any(key in told for key in parts):
+        found.append(("parts", f"{', '.join(parts)}: what the data sheets say of each, such as "
+                      "--set friction='120 N', or none; diagnose names what is missing"))
     turns = any(entry.key == "motion" and entry.value == "rotary" for entry in entries)
     outside = "" if answers.lacks("zero") else no_such_zero(answers, seen, turns)
     return [*(one for one in found if one[0] != "zero"), ("zero", outside)] if outside else found
