@@ -368,7 +368,8 @@ def open_choices(answers: Answers, entries: list[Entry], seen: Seen, gauge_known
     parts = [key for key in PARTS if not answers.lacks(key)]
     if not any(key in told for key in parts):
         found.append(("parts", f"what the data sheets say of {', '.join(parts)}: --set "
-                      "friction='120 N', or none; what is not in the config, diagnose has to find"))
+                      "friction='120 N', or none; what is not in the config, diagnose has to "
+                      "find"))
     turns = any(entry.key == "motion" and entry.value == "rotary" for entry in entries)
     outside = "" if answers.lacks("zero") else no_such_zero(answers, seen, turns)
     return [*(one for one in found if one[0] != "zero"), ("zero", outside)] if outside else found
