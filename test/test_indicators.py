@@ -196,8 +196,8 @@ def test_friction_is_told_by_a_diagnosis_only_and_none_is_no_zero():
     assert "diagnose" in of(evidence_of({}), settings, "friction").message
     none = of(evidence_of({}, diagnosed=True, channels=("x",)), settings, "friction")
     assert (none.status, none.tree()["value"]) == ("none_named", None)
-    assumed = of(evidence_of({}, diagnosed=True, assumed=("coulomb_friction",)), settings,
-                 "friction")
+    assumed = of(evidence_of({}, diagnosed=True, assumed={"coulomb_friction": {"F_c": 50.0}}),
+                 settings, "friction")
     assert "not measured" in assumed.message
     lost = of(evidence_of({}, diagnosed=True, settled=False, channels=("x",)), settings,
               "friction")
@@ -230,6 +230,27 @@ def test_a_diagnosis_gives_its_joint_covariance():
     lag = of(evidence, settings_with(), "drive_lag")
     assert lag.shown == "5.00 ± 0.20 ms"  # the answer's own, which is larger than the fit's
     assert "coulomb_friction.F_c" not in evidence.values  # the answer does not name it
+
+
+def test_a_law_that_took_the_place_of_the_configs_counts_once_and_others_add():
+    """The drive's lag of the config stands beside a command that is late; its friction is gone."""
+    from eha_monitor.indicators.assemble import evidence_of_diagnosis
+
+    given = {"coulomb_friction": {"F_c": 50.0}, "drive_lag": {"tau": 3e-3}}
+    settings = settings_with(effects=given)
+    sizes = {"presliding_friction": {"F_c": Value(49.0, 0.4, "N")},
+             "command_delay": {"T": Value(2e-4, 3e-5, "s")}}
+    found = Diagnosis(
+        ("a",), "mismatch", "", Location({}, "", ()), tuple(
+            NamedEffect(name, "", "", values, 10.0) for name, values in sizes.items()),
+        {}, {}, "held_out", {}, config_effects={
+            "drive_lag": {"tau": 3e-3}, "presliding_friction": {"F_c": 49.0},
+            "command_delay": {"T": 2e-4}},
+        fitted=Fitted(("presliding_friction.F_c", "command_delay.T"), np.array([49.0, 2e-4]),
+                      np.diag([0.16, 9e-10])))
+    evidence = evidence_of_diagnosis(found, [], settings)
+    assert of(evidence, settings, "friction").value == pytest.approx(49.0)
+    assert of(evidence, settings, "drive_lag").value == pytest.approx(3.2)  # ms
 
 
 @pytest.mark.parametrize(("tree", "words"), [

@@ -203,6 +203,18 @@ def test_a_named_delay_is_known_no_better_than_a_sensors_own_lag():
 # ---- the model as a config ---------------------------------------------------------------------
 
 
+def test_a_law_whose_place_another_took_is_in_no_written_config():
+    """Both would be twice the friction: 50 N of a config beside 50 N that build up over travel."""
+    case, name = fitted("coulomb_friction"), "coulomb_friction"
+    values = config_effects(case.experiment, case.after, (name,))
+    known = replace(case.experiment, active=case.after.active, settings=settings_from_tree(
+        {"effects": values}, "a config that has it"))
+    assert config_effects(known, case.after, ()) == values
+    gone = case.after.active.copy()
+    gone[NAMES.index(name)] = False
+    assert config_effects(known, replace(case.after, active=gone), ()) == {}
+
+
 def test_named_physics_goes_through_a_config_and_explains_the_record():
     """As a config it is known: B and the likelihood are those of the fit that found it."""
     case = fitted("coulomb_friction")

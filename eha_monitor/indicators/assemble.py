@@ -35,7 +35,8 @@ class Evidence:
     values : ``B``, ``beta_e``, ``leakage`` (C_T), ``pump_displacement``, and
         ``<effect>.<parameter>`` of each named effect; SI.
     covariance : (k, k) in their order.
-    assumed : effects that the config has and that were therefore not measured.
+    assumed : effects that the config has and that were therefore not measured, with their
+        parameters; none that another law has taken the place of.
     why : name of a value -> why it is not there; ``doubts``: why it is there and in doubt.
     channels : that were recorded.
     pressures : (m,) absolute pressures of both chambers at times spread over the recording, Pa;
@@ -47,7 +48,7 @@ class Evidence:
 
     values: Mapping[str, float]
     covariance: np.ndarray
-    assumed: tuple[str, ...] = ()
+    assumed: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     why: Mapping[str, str] = field(default_factory=dict)
     doubts: Mapping[str, str] = field(default_factory=dict)
     channels: tuple[str, ...] = ()
@@ -70,6 +71,13 @@ class Evidence:
         """Return which of the effects were named."""
         there = {name.partition(".")[0] for name in self.values if "." in name}
         return [effect for effect in effects if effect in there]
+
+    def beside(self, *effects: str) -> dict[str, float]:
+        """Return ``<effect>.<parameter>`` of those that the config has beside what was named."""
+        there = self.named(*effects)
+        return {f"{name}.{key}": value for name in effects
+                if name in self.assumed and name not in there
+                for key, value in self.assumed[name].items()}
 
 
 def evidence_of_estimate(found: Estimate) -> Evidence:
@@ -122,7 +130,7 @@ def evidence(recordings: list[Recording], settings: Settings, values: Mapping[st
         temperature = settings.health.oil_temperature
     channels = tuple(name for name in recordings[0].channels
                      if all(one.has(name) for one in recordings)) if recordings else ()
-    return Evidence(values, covariance, tuple(settings.effects), why, channels=channels,
+    return Evidence(values, covariance, settings.effects, why, channels=channels,
                     pressures=np.concatenate(pressures) if pressures else np.empty(0),
                     temperature=temperature, measured=measured, diagnosed=diagnosed,
                     warmth=(min(warmth), max(warmth)) if warmth and not measured else None,
@@ -162,6 +170,9 @@ def evidence_of_diagnosis(found: Diagnosis, recordings: list[Recording], setting
     for name in ("B", "beta_e"):
         if name not in values:
             why[name] = UNKNOWN.get(found.verdict, "the recording does not determine it")
+    if found.config_effects:
+        settings = settings.model_copy(update={"effects": {
+            name: one for name, one in settings.effects.items() if name in found.config_effects}})
     return evidence(recordings, settings, values, covariance, why, diagnosed=not found.references,
                     settled=found.verdict in ("consistent", "mismatch"))
 
@@ -353,11 +364,8 @@ def _friction(found: Evidence, settings: Settings) -> Indicator:
     total = (2.0 * float(np.mean(found.pressures)) if len(found.pressures)
              else 2.0 * settings.rig.charge_pressure)
     values, covariance = found.part(*_parameters(found, laws.DRY))
-    there = found.named(*laws.DRY)
-    configured = {f"{name}.{key}": value for name, numbers in settings.effects.items()
-                  if name in laws.DRY and name not in there for key, value in numbers.items()}
-    named = [effect_words(name) for name in there]
-    at = listed(named)
+    configured = found.beside(*laws.DRY)
+    at = listed([effect_words(name) for name in found.named(*laws.DRY)])
     if "pressure_friction" in found.named(*laws.DRY):
         at += f", at p₁ + p₂ = {quantity(total, 'Pa', 3)}"
     return _made("friction", lambda v: laws.dry_friction(configured | v, total), values,
@@ -387,8 +395,11 @@ def _drive_lag(found: Evidence, settings: Settings) -> Indicator:
     if none is not None:
         return none
     values, covariance = found.part("drive_lag.tau", "command_delay.T")
-    at = listed([effect_words(name) for name in found.named(*effects)])
-    return _made("drive_lag", lambda v: sum(v.values()), values, covariance, (), at)
+    beside = found.beside(*effects)
+    own = beside.get("drive_lag.tau", 0.0) + beside.get("command_delay.T", 0.0)
+    at = listed([effect_words(name) for name in (
+        *found.named(*effects), *sorted({key.partition(".")[0] for key in beside}))])
+    return _made("drive_lag", lambda v: own + sum(v.values()), values, covariance, (), at)
 
 
 def _not_looked_for(name: str, found: Evidence, effects: tuple[str, ...], words: str,

@@ -20,6 +20,7 @@ from eha_monitor.estimation.hold_choice import resolved
 from eha_monitor.mismatch.advise import advice as advise
 from eha_monitor.mismatch.beside_balances import (
     Filtered,
+    agrees_closely,
     far_from_config,
     force_is_closed,
     instead_of_filter,
@@ -221,7 +222,8 @@ def begun_in(experiment: Experiment, say: Report, first: Diagnosis | None = None
         return None
     windows = informative(experiment)
     return windows, begun(windows, lambda text, share: say(text, 0.85 * share),
-                          view_of(first), may_end, known, elsewhere)
+                          view_of(first), may_end, known, elsewhere,
+                          first is not None and agrees_closely(first))
 
 
 def view_of(first: Diagnosis | None) -> FirstView | None:

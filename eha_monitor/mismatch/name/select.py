@@ -132,6 +132,9 @@ class Search:
     view : what least squares name, until it was looked at.
     may_end : ends by :class:`Unfollowed` where no law follows; ``lack`` what the best model lacked
         after the round before, log units a sample.
+    close : the config's own model closes every balance: what has a name shows from there and from
+        no other place, and a round that gains nothing is the last.  A filter then sees the form of
+        a law; ``vain`` where no set has begun to explain it.
     elsewhere : asked once where no law follows: is a fit better off under another input?
     bare : the nominal model with nothing of the rig free.
     """
@@ -147,6 +150,8 @@ class Search:
     far: bool = False
     view: FirstView | None = None
     may_end: bool = False
+    close: bool = False
+    vain: bool = False
     lack: float = np.inf
     bare: Fit | None = None
     elsewhere: Elsewhere | None = None
@@ -159,13 +164,9 @@ class Search:
         return cls(experiment, nominal, refits, ended=more.get("sketch", False), **more)
 
     def gained_nothing(self) -> bool:
-        """Tell whether the best model lacks a log unit a sample, after the last round as before.
-
-        Only where the search may end so.
-        """
+        """Tell whether the best model lacks something, after the last round as before."""
         before, self.lack = self.lack, lack_of(self.experiment, self.found)
-        return self.may_end and self.lack > max(self.experiment.policy.lacking,
-                                                (1.0 - GAINED) * before)
+        return self.lack > (1.0 - GAINED) * before and lacks(self.experiment, self.found)
 
     def leave(self) -> None:
         """Ask once, where the best model lacks a log unit a sample, whether to go elsewhere.
@@ -331,7 +332,8 @@ def strayed(view: Linearised, refits: Refits) -> bool:
 
 def begun(experiment: Experiment, say=lambda text, share: None,
           first_view: FirstView | None = None, may_end: bool = False,
-          known: Sequence[Fit] = (), elsewhere: Elsewhere | None = None) -> Search:
+          known: Sequence[Fit] = (), elsewhere: Elsewhere | None = None, close: bool = False
+          ) -> Search:
     """Begin to find the set of effects and wrong numbers of the rig that a recording supports.
 
     The search comes back after its first pass, judged by the gates.
@@ -343,7 +345,7 @@ def begun(experiment: Experiment, say=lambda text, share: None,
     ----------
     first_view : what least squares name: a set that is fitted from their numbers where all that
         was found lacks something.
-    may_end, elsewhere : see :class:`Search`.
+    may_end, elsewhere, close : see :class:`Search`.
     known : models with names that were found on other recordings of the same rig, the best first.
 
     Raises
@@ -361,7 +363,7 @@ def begun(experiment: Experiment, say=lambda text, share: None,
         start = likelier(nominal_model(experiment, within=True), start)
     start = likelier(start, from_config(experiment))
     search = Search.at(experiment, start, view=first_view, may_end=may_end, bare=first,
-                       elsewhere=elsewhere)
+                       elsewhere=elsewhere, close=close)
     if not search.refits.evidence:
         raise np.linalg.LinAlgError("the nominal model's evidence is singular")
     search.going_on_from(known)
@@ -371,13 +373,16 @@ def begun(experiment: Experiment, say=lambda text, share: None,
     if sketch is not None:
         say("searching a third of the samples", 0.1)
         found = explored(Search.at(sketch, with_unknowns(sketch, start), sketch=True,
-                                   view=first_view, may_end=may_end, elsewhere=elsewhere), say)
+                                   view=first_view, may_end=may_end, close=close,
+                                   elsewhere=elsewhere), say)
         if may_end and lack_of(sketch, found.found) > experiment.policy.lacking:
             raise Unfollowed
         caught_up(sketch, found.refits)
         search.going_on_from([found.refits.fits[names] for names in within_reach(found.refits)
                               if names])
-    gated(experiment, explored(search, say).refits)
+    explored(search, say)
+    if not search.vain:
+        gated(experiment, search.refits)
     return search
 
 
@@ -451,7 +456,11 @@ def next_place(search: Search, turn: int) -> tuple[Names, Fit] | None:
     """
     if search.out_of_time:
         raise Unfollowed
-    if search.gained_nothing():
+    nothing = search.gained_nothing()
+    if nothing and search.close:
+        search.vain = not search.refits.best()
+        return None
+    if nothing and search.may_end and search.lack > search.experiment.policy.lacking:
         other = None if search.far else far_off(search)
         if other is None:
             raise Unfollowed
@@ -465,8 +474,9 @@ def next_place(search: Search, turn: int) -> tuple[Names, Fit] | None:
         finish(search.experiment, search.refits)
         search.ended = True
         at = search.refits.ahead(search.done, STRAYED)
-    other = unbent(search) if turn == 1 and search.widely else None
-    if other is None and at is None and search.widely and not search.far:
+    elsewhere = search.widely and not search.close
+    other = unbent(search) if turn == 1 and elsewhere else None
+    if other is None and at is None and elsewhere and not search.far:
         search.far, other = True, far_off(search)
     if other is None:
         return at

@@ -186,8 +186,13 @@ def prior_covariance(experiment: Experiment, free: Sequence[Free]) -> np.ndarray
 
 def config_effects(experiment: Experiment, fit: Fit, names: tuple[str, ...],
                    own: tuple[str, dict] | None = None) -> dict[str, dict[str, float]]:
-    """Return the ``effects:`` section: what the config had, those named, a term of its ``own``."""
-    found = {name: dict(values) for name, values in experiment.settings.effects.items()}
+    """Return the ``effects:`` section: what the config had, those named, a term of its ``own``.
+
+    A law of the config that a named one contains and has taken the place of is in it no more.
+    """
+    found = {name: dict(values) for name, values in experiment.settings.effects.items()
+             if name not in NAMES or fit.active[NAMES.index(name)]
+             or not experiment.active[NAMES.index(name)]}
     for name in (name for name in fit.named if name in names):
         values = effect_values(fit.theta, name)
         found[name] = {p.name: float(min(max(values[p.name], p.lower), p.upper))
