@@ -23,7 +23,7 @@ from eha_monitor.mismatch.show.held_out import (
     shown,
     windows_of,
 )
-from eha_monitor.mismatch.show.model import config_effects, in_doubt, stated_stddev
+from eha_monitor.mismatch.show.model import config_effects, in_doubt, replaced, stated_stddev
 from eha_monitor.physics.effects import CATALOGUE, NAMES
 from eha_monitor.physics.parameters import place_of, theta_of
 from eha_monitor.recordings.recording import Recording
@@ -213,6 +213,8 @@ def test_a_law_whose_place_another_took_is_in_no_written_config():
     gone = case.after.active.copy()
     gone[NAMES.index(name)] = False
     assert config_effects(known, replace(case.after, active=gone), ()) == {}
+    assert (replaced(known, replace(case.after, active=gone)), replaced(known, case.after)) == (
+        [name], [])
 
 
 def test_named_physics_goes_through_a_config_and_explains_the_record():

@@ -72,6 +72,7 @@ from eha_monitor.mismatch.show.model import (
     fitted_of,
     in_doubt,
     quantised,
+    replaced,
     rig_findings,
     rig_within,
     robust,
@@ -455,6 +456,8 @@ def named_effect(experiment: Experiment, naming: Naming, name: str, tracks: list
         elif np.isfinite(value):
             parameters[p.name] = Value(value, 0.0, p.unit.replace("*", "·"))
     said = entry.said(numbers) + held_command(name, parameters, experiment.dt)
+    if gone := [effect_words(one) for one in replaced(experiment, fit) if one in entry.contains]:
+        said += f", in place of the config's {listed(gone)}"
     return NamedEffect(name, entry.balance, said, parameters, naming.evidence[name],
                        rivals_of(experiment, naming, name), entry.equation, entry.rig_check,
                        size_of(experiment, fit, name, tracks),

@@ -184,15 +184,21 @@ def prior_covariance(experiment: Experiment, free: Sequence[Free]) -> np.ndarray
     return known
 
 
+def replaced(experiment: Experiment, fit: Fit) -> list[str]:
+    """Return the effects of the config whose place others have taken in a fit."""
+    return [name for name in experiment.settings.effects if name in NAMES
+            and experiment.active[NAMES.index(name)] and not fit.active[NAMES.index(name)]]
+
+
 def config_effects(experiment: Experiment, fit: Fit, names: tuple[str, ...],
                    own: tuple[str, dict] | None = None) -> dict[str, dict[str, float]]:
     """Return the ``effects:`` section: what the config had, those named, a term of its ``own``.
 
     A law of the config that a named one contains and has taken the place of is in it no more.
     """
+    gone = replaced(experiment, fit)
     found = {name: dict(values) for name, values in experiment.settings.effects.items()
-             if name not in NAMES or fit.active[NAMES.index(name)]
-             or not experiment.active[NAMES.index(name)]}
+             if name not in gone}
     for name in (name for name in fit.named if name in names):
         values = effect_values(fit.theta, name)
         found[name] = {p.name: float(min(max(values[p.name], p.lower), p.upper))
