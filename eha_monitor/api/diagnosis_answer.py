@@ -22,7 +22,7 @@ RIG_KEYS = {"B": "viscous_damping", "beta_e": "bulk_modulus"}
 # Keys of the answer that are fields of the record.
 AS_THEY_ARE = ("rig_data", "rig_within", "location", "effects", "advice", "message", "bags",
                "health", "remarks", "agreement", "considered", "curves", "references",
-               "config_effects", "gates", "change_points", "blind", "policy", "named_on",
+               "config_effects", "gates", "change_points", "events", "blind", "policy", "named_on",
                "duration_s", "wall_s")
 _WIDTH = 95  # of the head of a written config
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from eha_monitor.balances.change_point import since_change
 from eha_monitor.balances.changed import WORDS, against, shares_of
+from eha_monitor.balances.event import without_events
 from eha_monitor.balances.machine import Machine, healthy_machine_of
 from eha_monitor.balances.measured import courses_of
 from eha_monitor.balances.policy import POLICY
@@ -53,6 +54,7 @@ def compared(recordings: Sequence[Recording], references: Sequence[Recording],
     """
     started = time.perf_counter()
     with computing(*(one.source for one in (*recordings, *references))):
+        recordings, events = without_events(recordings, settings)
         recordings, points = since_change(recordings, settings)
         moving, courses, lines = courses_of(references, settings)
         found = against(healthy_machine_of(courses, settings), recordings, settings,
@@ -63,7 +65,8 @@ def compared(recordings: Sequence[Recording], references: Sequence[Recording],
             found = _by_filter(found, recordings, moving, settings)
     left_out = tuple(f"reference {line}, so it says nothing of the healthy machine"
                      for line in lines)
-    return replace(found, advice=left_out + found.advice).since(points, started)
+    return replace(found, advice=left_out + found.advice).around(
+        events).since(points, started)
 
 
 def beside(machine: Machine, recordings: Sequence[Recording], settings: Settings) -> Diagnosis:
@@ -75,8 +78,10 @@ def beside(machine: Machine, recordings: Sequence[Recording], settings: Settings
         If one side has no force balance.
     """
     started = time.perf_counter()
+    recordings, events = without_events(recordings, settings)
     recordings, points = since_change(recordings, settings)
-    return against(machine, recordings, settings, machine.sources).since(points, started)
+    found = against(machine, recordings, settings, machine.sources)
+    return found.around(events).since(points, started)
 
 
 def _by_filter(found: Diagnosis, recordings: Sequence[Recording], references: Sequence[Recording],

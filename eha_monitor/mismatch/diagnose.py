@@ -14,6 +14,7 @@ from eha_monitor.balances.baseline import baseline
 from eha_monitor.balances.candidates import FORCE_OF_SENSORS
 from eha_monitor.balances.change_point import since_change
 from eha_monitor.balances.course import TRAVEL
+from eha_monitor.balances.event import without_events
 from eha_monitor.balances.policy import POLICY
 from eha_monitor.breakdown import computing
 from eha_monitor.estimation.hold_choice import resolved
@@ -32,6 +33,7 @@ from eha_monitor.mismatch.data.experiment import (
     experiment_of,
 )
 from eha_monitor.mismatch.diagnosis import (
+    INTERMITTENT,
     Considered,
     Diagnosis,
     Location,
@@ -62,7 +64,6 @@ from eha_monitor.mismatch.name.naming import (
     on_all_of,
 )
 from eha_monitor.mismatch.name.select import Elsewhere, Search, begun, lack_of
-from eha_monitor.mismatch.name.unnamed import INTERMITTENT
 from eha_monitor.mismatch.policy import SearchPolicy
 from eha_monitor.mismatch.show import held_out as show
 from eha_monitor.mismatch.show.changed import change_words, changed_between
@@ -123,9 +124,11 @@ def diagnose(recordings: list[Recording], settings: Settings, held_out: Recordin
     """
     started = time.perf_counter()
     with computing(*(recording.source for recording in recordings)):
+        recordings, events = without_events(recordings, settings)
         recordings, points = since_change(recordings, settings)
-        return _diagnosed(recordings, settings, held_out, progress or (lambda text, share: None),
-                          hypothesis, without, vary).diagnosis.since(points, started)
+        found = _diagnosed(recordings, settings, held_out, progress or (lambda text, share: None),
+                           hypothesis, without, vary).diagnosis
+    return found.around(events).since(points, started)
 
 
 class Answered(NamedTuple):

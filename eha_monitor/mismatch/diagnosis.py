@@ -8,10 +8,12 @@ import numpy as np
 
 from eha_monitor.balances.baseline import Baseline
 from eha_monitor.balances.machine import Machine
+from eha_monitor.balances.policy import POLICY
 from eha_monitor.quantity import quantity, share, side_by_side
 from eha_monitor.recordings.recording import ChannelFinding
 from eha_monitor.words import effect_words
 
+INTERMITTENT = "intermittent_load"  # a load that comes and goes
 VERDICTS = ("consistent", "mismatch", "unexplained", "insufficient_data")
 
 
@@ -269,6 +271,36 @@ class ChangePoint:
 
 
 @dataclass(frozen=True)
+class Event:
+    """What disturbed a recording for a while, and was left out.
+
+    Attributes
+    ----------
+    bag : the recording.
+    start_s, stop_s : from and until when, s from the recording's start.
+    balance : the one that was off most; ``also`` the others.
+    size, mean : by how much it was off, rms and mean, in its unit (SI); the rms is ``times`` what
+        it is off else.
+    statement : one sentence.
+    """
+
+    bag: str
+    start_s: float
+    stop_s: float
+    balance: str
+    size: float
+    mean: float
+    times: float
+    statement: str
+    also: tuple[str, ...] = ()
+
+    @property
+    def is_load(self) -> bool:
+        """Whether it is a force of one direction while the flow is as else."""
+        return self.balance == "force" and not self.also and abs(self.mean) > 0.5 * self.size
+
+
+@dataclass(frozen=True)
 class Change:
     """A number that is not what healthy recordings of the machine have.
 
@@ -367,6 +399,7 @@ class Diagnosis:
         recording was judged against.
     policy : the numbers that decided names.
     change_points : where a number changed while a recording ran; all else is of the state since.
+    events : what disturbed a recording for a while; all else is of the rest.
     blind : balances that the references leave mostly unexplained, so that a change may be missed.
     """
 
@@ -408,6 +441,31 @@ class Diagnosis:
     remarks: tuple[str, ...] = ()
     change_points: tuple[ChangePoint, ...] = ()
     blind: tuple[str, ...] = ()
+    events: tuple[Event, ...] = ()
+
+    def around(self, events: tuple[Event, ...]) -> "Diagnosis":
+        """Return it as the answer for what some events have left of the recordings.
+
+        A load that comes and goes is named, and makes a mismatch; else its message tells them.
+        """
+        if not events:
+            return self
+        said = "; ".join(one.statement for one in events)
+        found = replace(self, events=events, message=f"{said}; in the rest: {self.message}")
+        loads = [one for one in events if one.is_load]
+        if not loads or self.references or self.verdict not in ("consistent", "mismatch"):
+            return found
+        largest = max(loads, key=lambda one: abs(one.mean))
+        when = tuple((one.start_s, one.stop_s) for one in loads)
+        effect = NamedEffect(
+            INTERMITTENT, "force", said, {"F": Value(largest.mean, np.nan, "N")}, np.nan, (),
+            "F(t), constant over stretches of time", "Check what touches the rod at these times.",
+            quantity(abs(largest.mean), "N", 2), POLICY.certain, when)
+        where = self.location
+        if self.verdict == "consistent":
+            where = Location(dict.fromkeys(where.balance, 0.0) | {"force": 1.0}, "", when)
+        return replace(found, verdict="mismatch", effects=(*self.effects, effect), location=where,
+                       probability=self.probability | {"consistent": 0.0})
 
     def since(self, points: tuple[ChangePoint, ...], started: float) -> "Diagnosis":
         """Return it as the answer for what came after some changes, which its message names.

@@ -47,6 +47,7 @@ AGAINST_HEALTHY = {
     "unexplained": ("error", "Changed, unexplained"),
 }
 CHANGED_LEARNED = ("warn", "Changed, and learned from the recording")
+DISTURBED = ("warn", "Disturbed for a while; in the rest model and recording agree")
 CHANGED_WITHIN = ("warn", "Changed while it was recorded")
 PARTLY = ("unknown", "No change in what can be compared")
 WRONG_NUMBERS = ("warn", "Wrong rig data explain the mismatch; no effect is missing")
@@ -77,6 +78,8 @@ def head_of(found: Diagnosis) -> tuple[str, str]:
         return AGAINST_HEALTHY[found.verdict]
     if found.pieces or (found.change_points and found.verdict == "consistent"):
         return CHANGED
+    if found.events and found.verdict == "consistent":
+        return DISTURBED
     if found.learned:
         return LEARNED
     names = (*found.rig_data, *found.effects)
@@ -131,6 +134,9 @@ def next_steps(found: Diagnosis, bags: str) -> tuple[str, ...]:
     if found.change_points:
         steps.append("find out what happened to the machine then, and record it again: "
                      f"`eha-monitor diagnose {bags}` judges what came after by itself")
+    if found.events:
+        when = interval_words(tuple((one.start_s, one.stop_s) for one in found.events))
+        steps.append(f"find out what happened at {when}: it was left out")
     if found.blind:
         steps.append("diagnose the healthy recordings together, `eha-monitor diagnose A B C`: "
                      f"what their {listed(found.blind)} balance holds hides changes of it")

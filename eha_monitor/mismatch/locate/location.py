@@ -15,7 +15,7 @@ from eha_monitor.balances import places
 from eha_monitor.compiled import njit
 from eha_monitor.mismatch.data.experiment import Experiment
 from eha_monitor.mismatch.data.inputs import FORCED
-from eha_monitor.mismatch.diagnosis import Curve, Location
+from eha_monitor.mismatch.diagnosis import INTERMITTENT, Curve, Location
 from eha_monitor.mismatch.likelihood.fit import (
     Fit,
     covariance_of,
@@ -38,7 +38,6 @@ from eha_monitor.mismatch.locate.terms import (
 )
 from eha_monitor.mismatch.name.candidates import candidate
 from eha_monitor.mismatch.name.starts import limits_of
-from eha_monitor.mismatch.name.unnamed import INTERMITTENT
 from eha_monitor.physics import signals as s
 from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.physics.plant import Y_FLOW, Y_FORCE, Y_P1, Y_P2, Y_SPEED

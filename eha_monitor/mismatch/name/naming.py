@@ -8,7 +8,7 @@ import numpy as np
 from eha_monitor import ties
 from eha_monitor.mismatch.data.experiment import Experiment
 from eha_monitor.mismatch.data.inputs import FORCED, OPEN
-from eha_monitor.mismatch.diagnosis import Gate, Piece
+from eha_monitor.mismatch.diagnosis import INTERMITTENT, Gate, Piece
 from eha_monitor.mismatch.likelihood.fit import Fit, with_unknowns
 from eha_monitor.mismatch.likelihood.gains import Unknowns
 from eha_monitor.mismatch.name.candidates import RIG, all_named, candidate
@@ -18,7 +18,7 @@ from eha_monitor.mismatch.name.posterior import plainness, posterior, refused_ev
 from eha_monitor.mismatch.name.refit import settled
 from eha_monitor.mismatch.name.select import Search, Selection, finished, lack_of, lacks
 from eha_monitor.mismatch.name.starts import limits_of
-from eha_monitor.mismatch.name.unnamed import INTERMITTENT, loads_of
+from eha_monitor.mismatch.name.unnamed import loads_of
 from eha_monitor.physics.effects import CATALOGUE
 
 Report = Callable[[str, float], None]

@@ -12,6 +12,7 @@ import numpy as np
 from eha_monitor import ties
 from eha_monitor.mismatch.data.experiment import Experiment
 from eha_monitor.mismatch.data.inputs import CLOSED, FORCED
+from eha_monitor.mismatch.diagnosis import INTERMITTENT
 from eha_monitor.mismatch.likelihood.along import filtered_tracks
 from eha_monitor.mismatch.likelihood.fit import Fit, spread
 from eha_monitor.mismatch.likelihood.gains import linear_of, smallest_unknowns
@@ -21,7 +22,6 @@ from eha_monitor.physics.plant import Y_FLOW, Y_FORCE, Y_P1, Y_P2, Y_SPEED
 
 HATS = 9  # of a signal
 BLOCK, MOST_BLOCKS = 1.0, 30  # s of a time in which an unknown load is constant; how many
-INTERMITTENT = "intermittent_load"
 PLACES = {"force": Y_FORCE, "flow": Y_FLOW, "drive": Y_SPEED}
 ACTING = 0.4  # of its largest: a load that comes and goes is there
 
