@@ -574,6 +574,19 @@ def test_tolerances_follow_from_where_a_number_comes_from():
     assert nobody["leakage"] > entries("leakage=1e-12")[2]["leakage"]
 
 
+@pytest.mark.parametrize(("more", "said"), [
+    (("zero=extended",), "beyond the ends of a stroke"),
+    (("zero=retracted", "volume_1=110 cm^3", "volume_2=20 cm^3"),
+     "volume_2=20 cm^3: expected more"),
+])
+def test_a_cylinder_that_would_hold_less_than_no_oil_is_refused(tmp_path, capsys, more, said):
+    file, x = german(tmp_path / "a.csv"), SEEN["x"]
+    shift = 1e3 * float(0.005 - x.min())  # x counts from the end with the rod in
+    assert said in refused(capsys, "init", file, "--out", "r.yaml", "--yes", *sets(
+        *(one for one in SHEET if not one.startswith(("stroke", "zero"))), "stroke=120 mm",
+        f"x.offset={shift:.3f}", f"x_d.offset={shift:.3f}", *more))
+
+
 @pytest.mark.parametrize(("machine", "nothing"), [
     ("valve", ("volume_1", "pump_displacement", "position_gain")),
     ("force", ("area_1", "area_2", "volume_1", "pump_displacement")),

@@ -48,6 +48,7 @@ class Term:
     name, unit, words : symbol, SI unit and what it is.
     value, stddev : SI; the deviation is infinite where the motion does not determine it.
     at_bound : held at 0 by its sign.
+    weight : rms of what it makes, over the standard deviation of the balance's left side.
     """
 
     name: str
@@ -56,6 +57,7 @@ class Term:
     value: float
     stddev: float
     at_bound: bool = False
+    weight: float = np.nan
 
     @property
     def determined(self) -> bool:
@@ -109,6 +111,7 @@ class Baseline:
     missing : reasons, by balance.
     leaning : N, by how much areas that are one tolerance off move a constant load: of each chamber
         its mean pressure force. 0 of a measured force.
+    span : m, the lowest and the highest position; NaN where nothing could be compared.
     """
 
     source: str
@@ -116,6 +119,7 @@ class Baseline:
     flow: BalanceFit | None
     missing: dict[str, str]
     leaning: float = 0.0
+    span: tuple[float, float] = (np.nan, np.nan)
 
     def to_dict(self) -> dict:
         """Return the JSON form, key ``baseline``."""
@@ -144,7 +148,8 @@ def baseline(recording: Recording, settings: Settings) -> Baseline:
                       off=areas_apart(course, settings.rig))
         if flow is None:
             missing["flow"] = "too little motion"
-    return Baseline(recording.source, force, flow, missing, leaning(course, settings.rig))
+    return Baseline(recording.source, force, flow, missing, leaning(course, settings.rig),
+                    (float(np.min(course.x)), float(np.max(course.x))))
 
 
 def leaning(course: Course, rig: Rig) -> float:
@@ -252,6 +257,7 @@ def fitted(course: Course, counted: np.ndarray, y: np.ndarray, columns: tuple,
         variance[free] += moves**2 * (its + mean**2)
     stddev = np.sqrt(np.where(unknown, np.inf, np.where(held, alone, variance)))
     size = max(float(np.std(rows[:, 0])), 1e-300)
+    weights = np.abs(w) * np.sqrt(np.mean(rows[:, 1:] ** 2, axis=0)) / size
     unseen, compared = [], 0
     for fold in range(FOLDS):
         out = block % FOLDS == fold
@@ -262,8 +268,9 @@ def fitted(course: Course, counted: np.ndarray, y: np.ndarray, columns: tuple,
         compared += int(out.sum())
         unseen.append(np.sum((rows[out, 0] - rows[out, 1:] @ other) ** 2))
     return BalanceFit(
-        tuple(Term(*one) for one in zip(names, units, words, w.tolist(), stddev.tolist(),
-                                        held.tolist(), strict=True))[:told],
+        tuple(Term(*one) for one in zip(
+            names, units, words, w.tolist(), stddev.tolist(), held.tolist(), weights.tolist(),
+            strict=True))[:told],
         int(counted.sum()), float(effective), float(np.sqrt(np.nanmean(left**2)) / size),
         float(np.sqrt(np.sum(unseen) / compared) / size) if compared else float("nan"))
 

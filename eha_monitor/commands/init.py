@@ -107,7 +107,7 @@ def _asked(draft, answers, given):
 def _answer(key, question, said, seen, rotary):
     """Ask until the answer can be read, add it to what was said, and return it."""
     from eha_monitor.draft.answers import answers_of
-    from eha_monitor.draft.rig import too_short
+    from eha_monitor.draft.rig import no_such_zero, too_short
 
     while True:
         text = click.prompt(question, default="", show_default=False, err=True).strip()
@@ -116,6 +116,8 @@ def _answer(key, question, said, seen, rotary):
                 answers = answers_of((*said, f"{key}={text}"))
                 if key == "stroke" and (short := too_short(answers, seen, rotary)):
                     raise InputError(short)
+                if key == "zero" and (outside := no_such_zero(answers, seen, rotary)):
+                    raise InputError(outside)
                 said.append(f"{key}={text}")
             return text
         except InputError as problem:

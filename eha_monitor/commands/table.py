@@ -16,7 +16,12 @@ from eha_monitor.estimation.results import Estimate
 from eha_monitor.health.alarms import BALANCES, NO_LIMIT, NOT_JUDGED, Alarm
 from eha_monitor.indicators.indicator import AVAILABLE, NEEDS, NONE, NOT_LOOKED_FOR, Indicator
 from eha_monitor.mismatch.diagnosis import Diagnosis
-from eha_monitor.plausibility.sheet import against_sheet, load_against
+from eha_monitor.plausibility.sheet import (
+    against_sheet,
+    cylinder_against,
+    load_against,
+    sizes_against,
+)
 from eha_monitor.quantity import NOTE, SYMBOLS, number
 from eha_monitor.reports import diagnosis_words as words
 from eha_monitor.settings import Settings
@@ -178,6 +183,7 @@ def show_indicators(to: Console, indicators: Sequence[Indicator], settings: Sett
 # ---- diagnose -----------------------------------------------------------------------------------
 
 LOADLIKE = {"constant_load", "pressure_offset"}  # what reads as a constant force
+SIZES = {"added_mass", "mass", "pump_displacement", "pump_flow_gain", "area_1", "area_2"}
 RIVAL_FORMULA = 20.0  # log units: a formula that is worse by more is not worth a line
 _COLOURS = {"ok": "green", "warn": "yellow", "error": "red", "unknown": "dim"}
 
@@ -223,7 +229,7 @@ def show_diagnosis(found: Diagnosis, written: list[Path], notes: list[str] = (),
         to.print(_fit(found))
     show_baselines(to, found.baselines)
     if settings is not None:
-        for line in _loads(found, settings):
+        for line in _against_config(found, settings):
             to.print(f"[yellow]config[/]: {escape(line)}")
     for finding in found.rig_within:
         to.print(f"[yellow]rig data[/]: {escape(finding.statement)}")
@@ -240,12 +246,25 @@ def show_diagnosis(found: Diagnosis, written: list[Path], notes: list[str] = (),
     print_end(to, words.footnote(found) if found.before or found.after else "", written)
 
 
-def _loads(found: Diagnosis, settings: Settings) -> list[str]:
-    """Return what a load that is named, or makes half of what the config leaves, may be."""
-    if LOADLIKE & {effect.name for effect in found.effects}:
-        return load_against(found.baselines, settings)
-    force = None if found.references else found.signals.get("force")
-    return [] if force is None else load_against(found.baselines, settings, force.before_rms)
+def _against_config(found: Diagnosis, settings: Settings) -> list[str]:
+    """Return what least squares say against the config's load, mass and pump.
+
+    Of a load that is named, or makes half of what the config leaves, what it may be; of mass and
+    pump where the answer says nothing of either.
+    """
+    named = {effect.name for effect in found.effects} | {one.key for one in found.rig_data}
+    if found.references:
+        return load_against(found.baselines, settings) if LOADLIKE & named else []
+    lines = []
+    if len(found.baselines) == 1:
+        first = found.baselines[0]
+        lines += cylinder_against(first, settings) + (
+            [] if SIZES & named else sizes_against(first, settings))
+    force = found.signals.get("force")
+    if LOADLIKE & named:
+        return lines + load_against(found.baselines, settings)
+    return lines if force is None else lines + load_against(
+        found.baselines, settings, force.before_rms)
 
 
 def _print_place(to: Console, found: Diagnosis) -> None:

@@ -5,6 +5,7 @@ from math import sin
 from eha_monitor.draft.answers import Answers, flow_at
 from eha_monitor.draft.rig import Entry, Seen, number, value_of, zero_of
 from eha_monitor.errors import InputError
+from eha_monitor.quantity import quantity
 from eha_monitor.settings.rig import Rig
 
 GRAVITY = 9.81  # m/s²
@@ -19,7 +20,8 @@ def effects_of(answers: Answers, entries: list[Entry], seen: Seen) -> list[Entry
     Raises
     ------
     InputError
-        If the load is one that a rotary actuator has not, or valves contradict themselves.
+        If the load is one that a rotary actuator has not, or valves or volumes contradict
+        themselves.
     """
     turns = any(entry.key == "motion" and entry.value == "rotary" for entry in entries)
     if turns and answers.rig.get("load") == "gravity":
@@ -53,6 +55,14 @@ def effects_of(answers: Answers, entries: list[Entry], seen: Seen) -> list[Entry
         reach = max(map(abs, seen.span)) if seen.span else answers.number("stroke") or 1.0
         ratio = (of["area_2"] or of["area_1"]) / of["area_1"]
         shrinks = 1.0 if zero == "extended" else ratio  # of A_v, how fast that chamber does
+        taken, key = of["area_1"] * shrinks * reach, "volume_1" if zero == "extended" else (
+            "volume_2")
+        if seen.span and key in answers.rig and shrinking < taken:
+            raise InputError(
+                f"--set {key}={answers.rig[key]}: expected more than the "
+                f"{quantity(taken, 'm³', 3)} that the piston takes of it up to x = "
+                f"{quantity(reach, 'm', 3)}; volumes are those at x = 0: are volume_1 and "
+                "volume_2 exchanged, or does x = 0 lie elsewhere?")
         slope = min(of["area_1"], 0.98 * shrinking / (reach * shrinks))  # some oil is left
         own = "" if ratio == 1.0 else f", r: {number(ratio)}"
         found.append(Entry("position_dependent_volume", f"{{A_v: {number(slope)}{own}}}",

@@ -9,6 +9,7 @@ from math import degrees, pi
 import numpy as np
 
 from eha_monitor.draft.answers import FLOWS, Answers, flow_at
+from eha_monitor.errors import InputError
 from eha_monitor.quantity import quantity
 from eha_monitor.settings.rig import Rig
 
@@ -346,7 +347,13 @@ def tolerances(entries: list[Entry]) -> list[Entry]:
 
 def open_choices(answers: Answers, entries: list[Entry], seen: Seen, gauge_known: bool
                  ) -> list[tuple[str, str]]:
-    """Return key and question of each choice that neither a person nor the recording has made."""
+    """Return key and question of each choice that neither a person nor the recording has made.
+
+    Raises
+    ------
+    InputError
+        If x = 0 was answered to lie where the recording goes beyond the actuator's ends.
+    """
     told = answers.rig
     asked = [key for key in ("machine", "load") if key not in told]
     wanted = [key for key in LOADS.get(told.get("load"), ()) if key not in told]
@@ -372,6 +379,8 @@ def open_choices(answers: Answers, entries: list[Entry], seen: Seen, gauge_known
                       "find"))
     turns = any(entry.key == "motion" and entry.value == "rotary" for entry in entries)
     outside = "" if answers.lacks("zero") else no_such_zero(answers, seen, turns)
+    if outside and answers.rig.get("zero") in _SHARES:
+        raise InputError(f"--set zero={answers.rig['zero']}: {outside}")
     return [*(one for one in found if one[0] != "zero"), ("zero", outside)] if outside else found
 
 

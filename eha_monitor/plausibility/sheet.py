@@ -9,7 +9,7 @@ pressures, τ late, takes B·τ from the mass, and areas that are off by a facto
 
 from collections.abc import Sequence
 from itertools import permutations
-from math import hypot, inf, log
+from math import hypot, inf, isfinite, log
 
 from eha_monitor.balances.baseline import BalanceFit, Baseline, Term
 from eha_monitor.balances.policy import POLICY
@@ -27,7 +27,46 @@ LATEST = 0.03  # s: later than that no filter makes a pressure
 
 def against_sheet(first: Baseline, settings: Settings) -> list[str]:
     """Return what a recording's least squares say against mass, pump and load of the config."""
-    return [*_sizes(first, settings), *load_against((first,), settings)]
+    return [*cylinder_against(first, settings), *sizes_against(first, settings),
+            *load_against((first,), settings)]
+
+
+def cylinder_against(first: Baseline, settings: Settings) -> list[str]:
+    """Return that areas or volumes are another cylinder's, or exchanged; at most two lines.
+
+    The oil of a chamber, V_1 + A_1 x and V_2 - A_2 x, is left at either end of the motion.  With
+    exchanged areas of a single rod the pump's displacement reads A_2/A_1 of the config's.
+    """
+    rig, found = settings.rig, []
+    one, two, oil = rig.area_1, rig.area_2, (rig.volume_1, rig.volume_2)
+    if not one or not two:
+        return []
+    # Areas that are off by a factor take the mass along.
+    unequal = abs(log(one / two)) > APART * hypot(
+        rig.tolerance.area_1, rig.tolerance.area_2) and not _off(
+            first.force, "M", rig.mass, hypot(rig.tolerance.mass, rig.tolerance.area_1))
+    pump = first.flow and first.flow["D_p"]
+    if unequal and pump and pump.determined and rig.pump_displacement and any(
+            abs(log(pump.value / rig.pump_displacement * ratio)) < APART * hypot(
+                _share(pump), rig.tolerance.pump_displacement) for ratio in (one / two, two / one)
+            ) and _off(first.flow, "D_p", rig.pump_displacement, rig.tolerance.pump_displacement):
+        found.append(f"{_both(pump, rig.pump_displacement)}: area_1 and area_2 that are exchanged "
+                     "read so")
+    if None in oil or not all(map(isfinite, first.span)):
+        return found
+
+    def least(volume_1: float, volume_2: float) -> tuple[float, float]:
+        return volume_1 + one * first.span[0], volume_2 - two * first.span[1]
+
+    left = least(*oil)
+    if min(left) < 0.0:
+        which = 1 + (left[1] < left[0])
+        swapped = "; exchanged they would do" if min(least(*oil[::-1])) > 0.0 else ""
+        found.append(
+            f"chamber {which} would hold {quantity(min(left), 'm³', 3)} of oil at x = "
+            f"{quantity(first.span[which - 1], 'm', 3)}: volume_1 and volume_2 are those at "
+            f"x = 0, and βe is off as they are{swapped}")
+    return found
 
 
 def load_against(views: Sequence[Baseline], settings: Settings,
@@ -74,12 +113,12 @@ def load_against(views: Sequence[Baseline], settings: Settings,
             f"{rod}"]
 
 
-def _sizes(first: Baseline, settings: Settings) -> list[str]:
+def sizes_against(first: Baseline, settings: Settings) -> list[str]:
     """Return what the mass and the pump are by a recording, where the config has others."""
     rig = settings.rig
     mass, area = rig.tolerance.mass, rig.tolerance.area_1
     heavy = _off(first.force, "M", rig.mass, hypot(mass, area))
-    if heavy and _rubs(first.force) and abs(log(heavy[0].value / heavy[1])) < log(TURNING):
+    if heavy and _turns(first.force, *heavy):
         heavy = None
     pumped = _off(first.flow, "D_p", rig.pump_displacement,
                   hypot(rig.tolerance.pump_displacement, area))
@@ -113,10 +152,15 @@ def _off(fit: BalanceFit | None, name: str, given: float | None, tolerance: floa
         _share(term), tolerance) else None
 
 
-def _rubs(fit: BalanceFit) -> bool:
-    """Tell whether there is dry friction, which turns round where the acceleration is largest."""
-    dry = fit["F_c"]
-    return dry.determined and POLICY.sure(dry.value, dry.stddev)
+def _turns(fit: BalanceFit, mass: Term, given: float) -> bool:
+    """Tell whether a mass may be dry friction that turns round where the acceleration is largest.
+
+    It reads so by the form of its law, and leaves as much of the balance unexplained.
+    """
+    dry, factor = fit["F_c"], mass.value / given
+    return (dry.determined and POLICY.sure(dry.value, dry.stddev)
+            and abs(log(factor)) < log(TURNING)
+            and abs(1.0 - 1.0 / factor) * mass.weight < fit.error_share)
 
 
 def _share(term: Term) -> float:
