@@ -215,6 +215,15 @@ def follows(naming: Naming) -> bool:
     It needs no unknown force, flow or speed that shows, or lacks no more of what the nominal
     model does than may be the form error of its laws.
     """
-    experiment, before = naming.experiment, lack_of(naming.experiment, naming.before)
-    return not lacks(experiment, naming.after) or bool(np.isfinite(before) and lack_of(
-        experiment, naming.after) <= experiment.policy.law * before)
+    return left_by(naming.experiment, naming.before, naming.after) <= naming.experiment.policy.law
+
+
+def left_by(experiment: Experiment, before: Fit, after: Fit) -> float:
+    """Return the share of what the nominal model lacks that another still does.
+
+    0 where it needs no unknown that shows; infinite where the nominal one says nothing.
+    """
+    if not lacks(experiment, after):
+        return 0.0
+    most = lack_of(experiment, before)
+    return lack_of(experiment, after) / most if np.isfinite(most) and most > 0.0 else np.inf

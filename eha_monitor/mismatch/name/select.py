@@ -132,9 +132,9 @@ class Search:
     view : what least squares name, until it was looked at.
     may_end : ends by :class:`Unfollowed` where no law follows; ``lack`` what the best model lacked
         after the round before, log units a sample.
-    close : the config's own model closes every balance: what has a name shows from there and from
-        no other place, and a round that gains nothing is the last.  A filter then sees the form of
-        a law; ``vain`` where no set has begun to explain it.
+    close : the config's own model closes every balance: what has a name shows from there, and a
+        round that gains nothing is the last.  A filter then sees the form of a law; ``vain`` where
+        no set has begun to explain it.
     elsewhere : asked once where no law follows: is a fit better off under another input?
     bare : the nominal model with nothing of the rig free.
     """
@@ -458,8 +458,9 @@ def next_place(search: Search, turn: int) -> tuple[Names, Fit] | None:
         raise Unfollowed
     nothing = search.gained_nothing()
     if nothing and search.close:
-        search.vain = not search.refits.best()
-        return None
+        start = unbent(search) if turn == 1 else None
+        search.vain = start is None and not search.refits.best()
+        return None if start is None else (frozenset(), start)
     if nothing and search.may_end and search.lack > search.experiment.policy.lacking:
         other = None if search.far else far_off(search)
         if other is None:
