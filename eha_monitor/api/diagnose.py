@@ -182,6 +182,9 @@ class Diagnosis(Record, Found):
     change_points : tuple of ChangePoint
         Where a number changed while a recording ran: bag, before_s, since_s, step, statement.
         All else is of the state since.
+    events : tuple of Event
+        What disturbed a recording for a while: bag, start_s, stop_s, balance, size, statement.
+        All else is of the rest.
     location : Location
         Where model and recording disagree: balance, regime, intervals_s.
     before : Mapping of str to Value

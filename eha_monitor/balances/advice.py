@@ -23,6 +23,9 @@ FASTER = 2.0  # times the speed
 FAR = 100.0  # times narrower: what is not determined at all
 AGAIN = ("record the same machine again, with another load, another speed and on another day, and "
          "diagnose all together: what one recording supports is not always there on another day")
+STIFF = ("βe is not stated: in this motion the oil takes up too little of the flow, beside "
+         "leakage and channels that may be late; quicker reversals, or a pressure that changes "
+         "more, show it")
 
 
 def advice_of(models: Sequence[Model], machine: Machine | None) -> tuple[str, ...]:

@@ -8,7 +8,7 @@ from types import MappingProxyType
 import numpy as np
 
 from eha_monitor.balances import places
-from eha_monitor.balances.advice import advice_of
+from eha_monitor.balances.advice import STIFF, advice_of
 from eha_monitor.balances.baseline import baseline
 from eha_monitor.balances.candidates import (
     LINEAR,
@@ -125,7 +125,8 @@ def answered(recordings: Sequence[Recording], settings: Settings, asked: Asked =
     return replace(
         found, bags=tuple(one.source for one in recordings),
         data="held_out" if asked.held_out is None else "held_out_bag", baselines=baselines,
-        advice=advice_of(models, machine) + found.advice,
+        advice=advice_of(models, machine) + found.advice + ((STIFF,) if _no_oil(
+            models, found, rig) else ()),
         health=found.health + (() if machine is None else tuple(
             f"{one.source} does not belong: {one.why}" for one in machine.odd)) + left_out,
         remarks=() if machine is None else lines_of(machine),
@@ -135,6 +136,13 @@ def answered(recordings: Sequence[Recording], settings: Settings, asked: Asked =
         agreement=_agreement(models, courses), policy=policy.to_dict(),
         duration_s=sum(one.duration for one in recordings),
         wall_s=time.perf_counter() - started)
+
+
+def _no_oil(models: Sequence[Model], found: Diagnosis, rig: Rig) -> bool:
+    """Tell whether an answer states no beta_e, although it has the flow and the volumes."""
+    return (found.verdict in ("consistent", "mismatch") and "beta_e" not in found.after
+            and bool(rig.volume_1 and rig.volume_2)
+            and any(one.balance == "flow" for one in models))
 
 
 def first_answer(recordings: Sequence[Recording], settings: Settings, asked: Asked = Asked()

@@ -122,13 +122,13 @@ class _Parts:
         event = Event(table.source, start, stop, table.balance, there, mean, times, (
             f"at {start:.1f}–{stop:.1f} s the {table.balance} is off by "
             f"{quantity(there, unit, 2)} (root mean square), {number(times, 2)} times as much as "
-            "else: a push, a stop or a disturbed sensor"))
+            "else: a push, a stop or a disturbed sensor"),
+            by_pressures=self.course.p1 is not None)
         if not event.is_load:
             return event
         return replace(event, statement=(
             f"at {start:.1f}–{stop:.1f} s a load of {quantity(mean, unit, 2)} on average acts "
-            "against positive motion, and else none"
-            + ("" if self.course.p1 is None else ", or a pressure sensor was off")))
+            "against positive motion, and else none"))
 
     def best(self, order: np.ndarray) -> tuple[float, tuple[int, int], float, float, float]:
         """Return the interval of blocks, in an order, that is most unlike the rest.

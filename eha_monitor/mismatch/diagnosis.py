@@ -278,7 +278,8 @@ class Event:
     ----------
     bag : the recording.
     start_s, stop_s : from and until when, s from the recording's start.
-    balance : the one that was off most; ``also`` the others.
+    balance : the one that was off most; ``also`` the others; ``by_pressures`` whether these are
+        the measure of its force.
     size, mean : by how much it was off, rms and mean, in its unit (SI); the rms is ``times`` what
         it is off else.
     statement : one sentence.
@@ -293,6 +294,7 @@ class Event:
     times: float
     statement: str
     also: tuple[str, ...] = ()
+    by_pressures: bool = True
 
     @property
     def is_load(self) -> bool:
@@ -458,7 +460,8 @@ class Diagnosis:
         largest = max(loads, key=lambda one: abs(one.mean))
         when = tuple((one.start_s, one.stop_s) for one in loads)
         effect = NamedEffect(
-            INTERMITTENT, "force", said, {"F": Value(largest.mean, np.nan, "N")}, np.nan, (),
+            INTERMITTENT, "force", said, {"F": Value(largest.mean, np.nan, "N")}, np.nan,
+            ("pressure_offset",) if largest.by_pressures else (),
             "F(t), constant over stretches of time", "Check what touches the rod at these times.",
             quantity(abs(largest.mean), "N", 2), POLICY.certain, when)
         where = self.location
