@@ -149,7 +149,7 @@ def baseline(recording: Recording, settings: Settings) -> Baseline:
         if flow is None:
             missing["flow"] = "too little motion"
     return Baseline(recording.source, force, flow, missing, leaning(course, settings.rig),
-                    (float(np.min(course.x)), float(np.max(course.x))))
+                    (float(np.nanmin(course.x)), float(np.nanmax(course.x))))
 
 
 def leaning(course: Course, rig: Rig) -> float:

@@ -24,8 +24,7 @@ SHEET = (
 )
 # Key of the config -> questions that answer it.
 _ANSWERS = {"area_1": ("bore",), "area_2": ("rod", "rods"), "volume_1": ("stroke", "line_volume"),
-            "volume_2": ("stroke", "line_volume"),
-            "parts": ("check_valve", "relief_valve", "friction", "drive_lag")}
+            "volume_2": ("stroke", "line_volume")}
 # What a rotary actuator is asked in place of bore, rod, stroke and mass of a cylinder.
 _ROTARY = {"bore": ("area_1", "displacement of the actuator, such as 120 cm^3/rad"),
            "stroke": ("stroke", "whole angle, such as 270 deg"),
@@ -85,7 +84,7 @@ def _asked(draft, answers, given):
         if name in (*CHOICES, *QUESTIONS) or key.endswith((".full", ".column")):
             wanted.append((key, question))
             continue
-        wanted += [(part, words) for part in _ANSWERS.get(name, (name,))
+        wanted += [(part, words) for part in {**_ANSWERS, "parts": PARTS}.get(name, (name,))
                    for of, words in (*SHEET, *PARTS.items()) if of == part]
     if rotary:
         wanted = [_ROTARY.get(key, (key, words)) for key, words in wanted
