@@ -61,8 +61,8 @@ from eha_monitor.mismatch.name.naming import (
     Naming,
     beyond_form,
     follows,
-    left_by,
     name_effects,
+    near_to,
     on_all_of,
 )
 from eha_monitor.mismatch.name.select import Elsewhere, Search, begun, lack_of
@@ -85,7 +85,7 @@ from eha_monitor.mismatch.show.model import (
 )
 from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.physics.parameters import place_of
-from eha_monitor.quantity import number, quantity, share
+from eha_monitor.quantity import number, quantity
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings.hypothesis import Hypothesis
 from eha_monitor.settings.monitor import Settings
@@ -318,11 +318,10 @@ def assemble(recordings: list[Recording], shown: Experiment, naming: Naming, sta
     if told is None and doubted and not naming.loads:
         say("learning effects not in the catalogue", 0.92)
         told = validated_term(experiment, shown, naming)
-        beyond = 0.0 if told is None else left_by(experiment, naming.before, told.fit)
-        if beyond > policy.law:
+        if told is not None and not near_to(experiment, naming.before, told.fit):
             gates += (Gate("curve", told.name, (
-                f"with {told.term.message.partition(': ')[2] or told.name} the model still lacks "
-                f"{share(beyond)} of what the config's does")),)
+                f"with {told.term.message.partition(': ')[2] or told.name} the model does not "
+                "follow the recording either")),)
             told = None
         if verdict == "mismatch" and told is not None:  # more likely than not it has names
             verdict, told = ("unexplained", told) if told.decides else (verdict, None)

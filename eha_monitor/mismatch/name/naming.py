@@ -215,15 +215,11 @@ def follows(naming: Naming) -> bool:
     It needs no unknown force, flow or speed that shows, or lacks no more of what the nominal
     model does than may be the form error of its laws.
     """
-    return left_by(naming.experiment, naming.before, naming.after) <= naming.experiment.policy.law
+    return near_to(naming.experiment, naming.before, naming.after)
 
 
-def left_by(experiment: Experiment, before: Fit, after: Fit) -> float:
-    """Return the share of what the nominal model lacks that another still does.
-
-    0 where it needs no unknown that shows; infinite where the nominal one says nothing.
-    """
-    if not lacks(experiment, after):
-        return 0.0
+def near_to(experiment: Experiment, before: Fit, after: Fit) -> bool:
+    """Tell whether a model lacks nothing, or no more than ``law`` of what the nominal one does."""
     most = lack_of(experiment, before)
-    return lack_of(experiment, after) / most if np.isfinite(most) and most > 0.0 else np.inf
+    return not lacks(experiment, after) or bool(np.isfinite(most) and lack_of(
+        experiment, after) <= experiment.policy.law * most)
