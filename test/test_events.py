@@ -8,7 +8,7 @@ import pytest
 from rig_tools import settings, simulated
 
 from eha_monitor import cli
-from eha_monitor.balances.event import event_in, without_events
+from eha_monitor.balances.event import events_in, without_events
 from eha_monitor.mismatch.diagnosis import INTERMITTENT
 from eha_monitor.recordings.write import write_recording
 
@@ -36,15 +36,26 @@ def test_a_push_is_dated_measured_and_left_out(load, shape):
     gone = (recording.time >= event.start_s) & (recording.time <= event.stop_s)
     assert np.isnan(kept.channels["x"][gone]).all()
     assert np.array_equal(kept.channels["x"][~gone], recording.channels["x"][~gone])
-    assert event_in(kept, settings()) is None
+    assert events_in(kept, settings()) == []
+
+
+def test_two_pushes_are_two_events():
+    first, second = recorded(150.0), recorded(-100.0)
+    shift = round(-4.5 / first.sample_time)  # at 3.5 to 6.5 s
+    p1, p2 = (first.channels[name] + np.roll(
+        second.channels[name] - recorded().channels[name], shift) for name in ("p1", "p2"))
+    _, events = without_events([replace(first, channels=first.channels | {
+        "p1": p1, "p2": p2})], settings())
+    assert [np.sign(one.mean) for one in events] == [-1.0, 1.0]
+    assert [one.start_s for one in events] == pytest.approx([3.5, 8.0], abs=0.8)
 
 
 def test_a_pressure_sensor_that_was_off_for_a_while_is_no_load():
     recording = recorded()
     off = (recording.time > 6.0) & (recording.time < 9.0)
     p1 = recording.channels["p1"] + np.where(off, 4e5 * np.sin(7.0 * recording.time), 0.0)
-    event = event_in(replace(recording, channels=recording.channels | {"p1": p1}), settings())
-    assert event is not None and not event.is_load and "sensor" in event.statement
+    (event,) = events_in(replace(recording, channels=recording.channels | {"p1": p1}), settings())
+    assert not event.is_load and "sensor" in event.statement
     assert event.start_s <= 6.0 and event.stop_s >= 9.0
 
 
@@ -55,13 +66,13 @@ def test_a_pressure_sensor_that_was_off_for_a_while_is_no_load():
 @pytest.mark.parametrize("shape", [SINE, CHIRP, STEPS])
 def test_a_law_that_the_config_lacks_is_no_event(effects, shape):
     """Nor where the motion grows faster, or goes there only once."""
-    assert event_in(recorded(effects=effects, shape=shape), settings()) is None
+    assert events_in(recorded(effects=effects, shape=shape), settings()) == []
 
 
 def test_a_change_that_stays_is_no_event():
     run = simulated(SINE, 20.0, faults={"a": {
         "parameter": "viscous_damping", "start": 12.0, "value": 900.0}})
-    assert event_in(run.recording(0), settings()) is None
+    assert events_in(run.recording(0), settings()) == []
 
 
 def test_the_rest_is_diagnosed_and_the_load_named(tmp_path, capfd):

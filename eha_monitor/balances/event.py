@@ -5,7 +5,7 @@ own: the two-variance normal likelihood (Inclan and Tiao 1994, for changes of va
 for the interval of the event.  It is one where
 
 - the config's linear model leaves of the rest less than ``small`` of what it leaves there, and of
-  the whole more than ``worse``;
+  the whole more than ``worse``; of several, one after the other, what is left in the end;
 - it takes less than half of the recording, with ``LEAST`` of it on either side: the majority is
   the machine, and what stays until the end is another state of it (:mod:`change_point`);
 - in the order of speed, position or acceleration (of pressure, in the flow) no interval gains as
@@ -44,43 +44,48 @@ def without_events(recordings: Sequence[Recording], settings: Settings, policy: 
     """
     kept, found = [], []
     for recording in recordings:
-        for _ in range(SEVERAL):
-            event = event_in(recording, settings, policy)
-            if event is None:
-                break
-            found.append(event)
-            there = (recording.time >= event.start_s) & (recording.time <= event.stop_s)
+        events, time = events_in(recording, settings, policy), recording.time
+        if events:
+            there = np.any([(time >= one.start_s) & (time <= one.stop_s) for one in events],
+                           axis=0)
             recording = replace(recording, channels={
                 name: np.where(there, np.nan, values)
                 for name, values in recording.channels.items()})
+        found += events
         kept.append(recording)
-    return kept, tuple(sorted(found, key=lambda one: (one.bag, one.start_s)))
+    return kept, tuple(found)
 
 
-def event_in(recording: Recording, settings: Settings, policy: Policy = POLICY) -> Event | None:
-    """Return the event that stands out most, None where there is none, or no force balance."""
+def events_in(recording: Recording, settings: Settings, policy: Policy = POLICY) -> list[Event]:
+    """Return what disturbed a recording, in order of time; nothing without a force balance.
+
+    Where force and flow are off at one time, the one that is off more times as much as else.
+    """
     rig = settings.rig
     try:
         course = course_of(recording, settings)
     except InputError:
-        return None
+        return []
     if not course.shows:
-        return None
+        return []
     (course,) = of_one_machine([course], rig, policy)
-    found = []
+    events: list[Event] = []
     for balance in ("force", "flow"):
         plain = tuple(one for one in candidates_of(balance, Scale.of([course]), rig)
                       if one.name in PLAIN)
         if balance == "flow" and course.omega is None:
             continue
         (table,) = tables_of([course], rig, balance, plain, policy)
-        event = _Parts(table, course).event(policy) if table.n else None
-        if event is not None:
-            found.append(event)
-    largest = max(found, key=lambda one: one.times, default=None)
-    also = tuple(one.balance for one in found if one is not largest
-                 and one.start_s < largest.stop_s and one.stop_s > largest.start_s)
-    return largest and replace(largest, also=also)
+        events += _Parts(table, course).events(policy) if table.n else []
+    found = []
+    for one in sorted(events, key=lambda one: -one.times):
+        same = next((other for other in found if one.start_s < other.stop_s
+                     and one.stop_s > other.start_s), None)
+        if same is None:
+            found.append(one)
+        elif one.balance != same.balance:
+            found[found.index(same)] = replace(same, also=(one.balance,))
+    return sorted(found, key=lambda one: one.start_s)
 
 
 class _Parts:
@@ -90,34 +95,50 @@ class _Parts:
         self.table, self.course = table, course
         time = np.arange(len(table.rows)) * table.dt
         self.length = max(SHORTEST, time[-1] / MOST)
-        self.which = (time / self.length).astype(int)
-        self.here = self.which[table.good]
-        self.numbers, place = np.unique(self.here, return_inverse=True)
+        self.numbers, self.place = np.unique(
+            (time[table.good] / self.length).astype(int), return_inverse=True)
         rows, count = table.rows[table.good], len(self.numbers)
-        self.count = np.bincount(place, minlength=count).astype(float)
-        self.place = place
+        self.count = np.bincount(self.place, minlength=count).astype(float)
         self.blocks = np.zeros((count, rows.shape[1], rows.shape[1]))
-        np.add.at(self.blocks, place, rows[:, :, None] * rows[:, None, :])
+        np.add.at(self.blocks, self.place, rows[:, :, None] * rows[:, None, :])
         self.sums = np.zeros((count, rows.shape[1]))
-        np.add.at(self.sums, place, rows)
+        np.add.at(self.sums, self.place, rows)
 
-    def event(self, policy: Policy) -> Event | None:
-        """Return the interval of an event, if one stands out."""
-        table, blocks = self.table, len(self.numbers)
-        if blocks < FEWEST:
-            return None
-        gain, (i, j), rest, there, mean = self.best(np.arange(blocks))
-        if min(i, blocks - j) < LEAST * blocks or not rest < policy.small * there:
-            return None
-        whole = np.sqrt((there**2 * self.count[i:j].sum() + rest**2 * (
-            self.count.sum() - self.count[i:j].sum())) / self.count.sum())
-        if whole < policy.worse * table.size or any(
-                gain <= self.best(order)[0] + policy.alone for order in self.orders()):
-            return None
+    def events(self, policy: Policy) -> list[Event]:
+        """Return what stands out once at most ``SEVERAL`` intervals have left the rest closed."""
+        blocks = len(self.numbers)
+        left = np.arange(blocks)
+        for _ in range(SEVERAL):
+            gain, (i, j), rest, there, mixture = self.best(left)
+            whole = np.sqrt(np.average([rest**2, there**2], weights=[
+                self.count.sum() - self.count[left[i:j]].sum(), self.count[left[i:j]].sum()]))
+            if whole < policy.worse * self.table.size or any(
+                    gain <= self.best(order)[0] + policy.alone for order in self.orders(left)):
+                return []
+            left = np.delete(left, slice(i, j))
+            if len(left) < max(FEWEST, 0.5 * blocks):
+                return []
+            if rest < policy.small * there:  # closed: what is loud under its model is an event
+                loud = np.flatnonzero(np.sqrt(_squares(mixture[None], self.blocks) / self.count)
+                                      > rest / policy.small)
+                runs = np.split(loud, np.flatnonzero(np.diff(loud) > 2) + 1)
+                inside = LEAST * blocks <= loud[0] and loud[-1] < (1.0 - LEAST) * blocks
+                return [self.event(np.arange(run[0], run[-1] + 1), mixture, rest)
+                        for run in runs] if inside else []
+        return []
+
+    def event(self, run: np.ndarray, mixture: np.ndarray, rest: float) -> Event:
+        """Return the record of neighbouring blocks beside a rest of that rms."""
+        table = self.table
+        there = float(np.sqrt(_squares(mixture[None], self.blocks[run].sum(axis=0)[None])[0]
+                              / self.count[run].sum()))
+        # What begins and ends is less than what is there in between.
+        middle = run[1:-1] if len(run) > 2 else run
+        mean = float(mixture @ self.sums[middle].sum(axis=0) / self.count[middle].sum())
         # The band smears what begins and ends over one of its periods.
         margin = 1.0 / self.course.band
-        start = max(self.numbers[i] * self.length - margin, 0.0)
-        stop = (self.numbers[j - 1] + 1) * self.length + margin
+        start = max(float(self.numbers[run[0]] * self.length) - margin, 0.0)
+        stop = float((self.numbers[run[-1]] + 1) * self.length) + margin
         times, unit = there / max(rest, table.floor), SIDES[table.balance]
         event = Event(table.source, start, stop, table.balance, there, mean, times, (
             f"at {start:.1f}–{stop:.1f} s the {table.balance} is off by "
@@ -130,7 +151,8 @@ class _Parts:
             f"at {start:.1f}–{stop:.1f} s a load of {quantity(mean, unit, 2)} on average acts "
             "against positive motion, and else none"))
 
-    def best(self, order: np.ndarray) -> tuple[float, tuple[int, int], float, float, float]:
+    def best(self, order: np.ndarray
+             ) -> tuple[float, tuple[int, int], float, float, np.ndarray]:
         """Return the interval of blocks, in an order, that is most unlike the rest.
 
         Returns
@@ -138,7 +160,7 @@ class _Parts:
         gain : log units a sample over one variance for all.
         interval : first block of it, and the first behind.
         rest, there : rms of the residual, under the model of the rest.
-        mean : of the residual in the interval, without its first and last block.
+        mixture : (1 + k,) of the columns that the model of the rest leaves.
         """
         blocks, count = self.blocks[order], self.count[order]
         sums = np.concatenate([np.zeros((1, *blocks.shape[1:])), np.cumsum(blocks, axis=0)])
@@ -157,21 +179,18 @@ class _Parts:
         gain = 0.5 * (np.log(all_) - (outer * np.log(rest) + inner * np.log(there)) / n[-1])
         gain[there <= rest] = -np.inf
         at = ties.largest(gain)
-        # What begins and ends is less than what is there in between.
-        middle = order[i[at]:j[at]][1:-1] if j[at] - i[at] > 2 else order[i[at]:j[at]]
-        mean = float(w[at] @ self.sums[middle].sum(axis=0)) / float(self.count[middle].sum())
         return (float(gain[at]), (int(i[at]), int(j[at])), float(np.sqrt(rest[at])),
-                float(np.sqrt(there[at])), mean)
+                float(np.sqrt(there[at])), w[at])
 
-    def orders(self) -> Iterator[np.ndarray]:
-        """Yield the blocks in the order of what a missing law may go with."""
+    def orders(self, left: np.ndarray) -> Iterator[np.ndarray]:
+        """Yield those blocks that are left in the order of what a missing law may go with."""
         course, good = self.course, self.table.good
         signals = [np.square(course.v), course.x, np.square(course.a)]
         if self.table.balance == "flow" and course.p1 is not None and course.p2 is not None:
             signals += [np.square(course.p1 - course.p2), course.p1 + course.p2]
         for values in signals:
             mean = np.bincount(self.place, course.compared(values)[good]) / self.count
-            yield np.argsort(mean, kind="stable")
+            yield left[np.argsort(mean[left], kind="stable")]
 
 
 def _mixtures(grams: np.ndarray) -> np.ndarray:

@@ -460,7 +460,8 @@ class Diagnosis:
         largest = max(loads, key=lambda one: abs(one.mean))
         when = tuple((one.start_s, one.stop_s) for one in loads)
         effect = NamedEffect(
-            INTERMITTENT, "force", said, {"F": Value(largest.mean, np.nan, "N")}, np.nan,
+            INTERMITTENT, "force", "; ".join(one.statement for one in loads),
+            {"F": Value(largest.mean, np.nan, "N")}, np.nan,
             ("pressure_offset",) if largest.by_pressures else (),
             "F(t), constant over stretches of time", "Check what touches the rod at these times.",
             quantity(abs(largest.mean), "N", 2), POLICY.certain, when)
