@@ -42,6 +42,7 @@ from eha_monitor.mismatch.name.select import (
     finish,
     lacks,
     lesser,
+    next_place,
     nominal_model,
     resolved_nominal,
     unbent,
@@ -487,3 +488,25 @@ def test_backlash_shows_where_the_pressures_are_the_input():
     assert [one.name for one in found.effects] == ["backlash"]
     assert found.effects[0].parameters["b"].value == pytest.approx(200e-6, rel=0.02)
     assert found.effects[0].parameters["in_loop"].value == 0.0  # no loop that could tell
+
+
+@pytest.mark.parametrize("found", [False, True])
+def test_beside_closed_balances_a_round_that_gains_nothing_is_the_last(found):
+    """What was found is gated; where nothing was, the nominal model is what stands."""
+    case = fitted("coulomb_friction")
+    search = Search.at(case.experiment, case.before, close=True)
+    here, fit = next_place(search, 0)
+    assert here == frozenset() and fit is case.before
+    search.done[frozenset()] = search.refits.evidence[frozenset()]
+    if found:  # an effect of which something is still lacking
+        half = replace(case.after, log_likelihood=case.before.log_likelihood + 0.4 * (
+            case.after.log_likelihood - case.before.log_likelihood), unknowns=case.before.unknowns)
+        search.refits.add(case.experiment, frozenset(case.after.named), half, True)
+        assert next_place(search, 1)[0] == frozenset(case.after.named)
+        search.done[frozenset(case.after.named)] = max(search.refits.evidence.values())
+    turn = 2 if found else 1
+    place = next_place(search, turn)
+    if place is not None:  # once from the config's own numbers, where the fit was bent
+        assert turn == 1 and place[0] == frozenset() and place[1] is not case.before
+        place = next_place(search, 2)
+    assert place is None and search.vain is not found

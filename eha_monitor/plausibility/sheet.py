@@ -60,11 +60,11 @@ def cylinder_against(first: Baseline, settings: Settings) -> list[str]:
 
     left = least(*oil)
     if min(left) < 0.0:
-        which = 1 + (left[1] < left[0])
+        which, unit = 1 + (left[1] < left[0]), "rad" if rig.motion == "rotary" else "m"
         swapped = "; exchanged they would do" if min(least(*oil[::-1])) > 0.0 else ""
         found.append(
             f"chamber {which} would hold {quantity(min(left), 'm³', 3)} of oil at x = "
-            f"{quantity(first.span[which - 1], 'm', 3)}: volume_1 and volume_2 are those at "
+            f"{quantity(first.span[which - 1], unit, 3)}: volume_1 and volume_2 are those at "
             f"x = 0, and βe is off as they are{swapped}")
     return found
 
