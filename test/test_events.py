@@ -8,6 +8,7 @@ import pytest
 from rig_tools import settings, simulated
 
 from eha_monitor import cli
+from eha_monitor.balances import event
 from eha_monitor.balances.event import events_in, without_events
 from eha_monitor.mismatch.diagnosis import INTERMITTENT
 from eha_monitor.recordings.write import write_recording
@@ -67,6 +68,18 @@ def test_a_pressure_sensor_that_was_off_for_a_while_is_no_load():
 def test_a_law_that_the_config_lacks_is_no_event(effects, shape):
     """Nor where the motion grows faster, or goes there only once."""
     assert events_in(recorded(effects=effects, shape=shape), settings()) == []
+
+
+def test_a_motion_of_a_single_moment_has_no_exception(monkeypatch):
+    """A table of which one short block is compared has no interval beside a rest."""
+    tables = event.tables_of
+
+    def first_moment(*arguments):
+        return [replace(one, good=one.good & (np.cumsum(one.good) <= 3))
+                for one in tables(*arguments)]
+
+    monkeypatch.setattr(event, "tables_of", first_moment)
+    assert events_in(recorded(150.0), settings()) == []
 
 
 def test_a_change_that_stays_is_no_event():

@@ -107,6 +107,8 @@ class _Parts:
     def events(self, policy: Policy) -> list[Event]:
         """Return what stands out once at most ``SEVERAL`` intervals have left the rest closed."""
         blocks = len(self.numbers)
+        if blocks < FEWEST:
+            return []
         left = np.arange(blocks)
         for _ in range(SEVERAL):
             gain, (i, j), rest, there, mixture = self.best(left)
