@@ -8,8 +8,8 @@ from hold_parts.plant import Motion, Noise, Rig, recorded
 from mismatch_tools import fitted
 
 from eha_monitor.balances.baseline import baseline
+from eha_monitor.mismatch.answer import as_configured
 from eha_monitor.mismatch.data.experiment import experiment_of
-from eha_monitor.mismatch.diagnose import as_configured
 from eha_monitor.mismatch.diagnosis import Gate, NamedEffect, SignalFit, Value
 from eha_monitor.mismatch.likelihood.fit import Free
 from eha_monitor.mismatch.likelihood.gains import smallest_unknowns

@@ -9,15 +9,10 @@ from mismatch_tools import case_of, diagnosed, fitted, recorded
 
 from eha_monitor.balances.answer import Asked, first_answer
 from eha_monitor.estimation.hold_choice import HoldDecision, other_hold, with_hold
+from eha_monitor.mismatch.answer import held_command, is_answer, verdict_of
 from eha_monitor.mismatch.beside_balances import contradicted, defends, explains_more
 from eha_monitor.mismatch.data.experiment import experiment_of
-from eha_monitor.mismatch.diagnose import (
-    diagnose,
-    diagnose_and_name,
-    held_command,
-    is_answer,
-    verdict_of,
-)
+from eha_monitor.mismatch.diagnose import diagnose, diagnose_and_name
 from eha_monitor.mismatch.diagnosis import VERDICTS, Diagnosis, SignalFit, Value
 from eha_monitor.mismatch.holds import gained_under, late_as_held, nominal_of, searched
 from eha_monitor.mismatch.name.before import informative

@@ -13,12 +13,13 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 
 from eha_monitor.errors import InputError, refused
+from eha_monitor.progress import Report
 
 if TYPE_CHECKING:
     import pandas
 
 
-Progress = bool | Callable[[str, float], None]
+Progress = bool | Report
 READING = 0.03  # of a diagnosis' progress is the reading
 _WIDTH = 78  # of a line of progress
 _one = threading.RLock()
@@ -40,7 +41,7 @@ def calling() -> Iterator[None]:
             raise InputError(refused(problem)) from problem
 
 
-def reporter(progress: Progress) -> Callable[[str, float], None]:
+def reporter(progress: Progress) -> Report:
     """Return what a calculation reports its progress to: (text, share from 0 to 1).
 
     Parameters

@@ -12,6 +12,7 @@ import click
 
 from eha_monitor.archive.find import is_archive, of_a_bag
 from eha_monitor.errors import InputError, installs
+from eha_monitor.progress import Report, silent
 
 if TYPE_CHECKING:
     from eha_monitor.api.config import Config
@@ -86,10 +87,10 @@ def working(what: str) -> Iterator[Callable[[str], None]]:
 
 
 @contextmanager
-def progress_bar() -> Iterator[Callable[[str, float], None]]:
+def progress_bar() -> Iterator[Report]:
     """Yield ``told(text, share)``, which moves a bar on a terminal and does nothing elsewhere."""
     if not on_terminal():
-        yield lambda text, share: None
+        yield silent
         return
     from rich.console import Console
     from rich.markup import escape

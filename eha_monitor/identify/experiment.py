@@ -32,6 +32,7 @@ from eha_monitor.physics import signals as s
 from eha_monitor.physics.effects import CATALOGUE, NAMES
 from eha_monitor.physics.parameters import place_of
 from eha_monitor.physics.simulator import Simulator
+from eha_monitor.progress import Report, silent
 from eha_monitor.quantity import number, quantity
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings.monitor import Experiment as Bounds
@@ -317,7 +318,6 @@ def seen(experiment: Experiment, fit: Fit) -> Fit:
 DECIDED, INSEPARABLE, TIME, ABORTED = "decided", "inseparable", "time", "aborted"
 BALANCES = "balances"
 FEW = 0.05  # probability of all rivals together, below which what has no model yet is looked for
-Report = Callable[[str, float], None]
 
 
 @dataclass(frozen=True)
@@ -368,7 +368,7 @@ def identify(rig: Rig, planner: Planner,
     InputError
         If the limits allow no motion, or what came cannot be diagnosed.
     """
-    say = report or (lambda text, share: None)
+    say = report or silent
     say("planning the first motion", 0.0)
     planned: Planned | None = planner.first(rig.position())
     recordings: list[Recording] = []

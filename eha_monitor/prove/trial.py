@@ -33,6 +33,7 @@ from eha_monitor.concealed.draws import SETS, draw_cases, misconfigured
 from eha_monitor.errors import InputError
 from eha_monitor.output import source_digest as digest_of_source
 from eha_monitor.output import write_text
+from eha_monitor.progress import Report, silent
 from eha_monitor.prove import score
 from eha_monitor.settings.monitor import Settings
 
@@ -61,7 +62,7 @@ class Questions:
 
 
 def children(questions: Questions, names: Sequence[str], jobs: int,
-             say: Callable[[str, float], None]) -> None:
+             say: Report) -> None:
     """Have each name answered by a process of its own, ``jobs`` at a time, each on its cores."""
     jobs = max(1, min(jobs, len(names)))
     cores = sorted(os.sched_getaffinity(0))
@@ -207,7 +208,6 @@ ROOMS = ("physics", "estimation", "balances", "mismatch", "recordings", "setting
          "api", "commands/diagnose.py", "prove/blind.py", "words.py")
 FEW = 4  # cases that are made without processes of their own
 
-Report = Callable[[str, float], None]
 
 
 @dataclass(frozen=True)
@@ -274,7 +274,7 @@ def prove(trial: Trial, announce: Callable[[str], None] = print,
     InputError
         If the folder holds another trial, or its key is not the one that was sealed.
     """
-    say = progress or (lambda text, share: None)
+    say = progress or silent
     started = time.perf_counter()
     begin(trial)
     made(trial, lambda text, share: say(text, 0.1 * share))

@@ -1,6 +1,6 @@
 """Advice: what a recording can and cannot tell apart, and the cheapest motion that would."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -53,6 +53,7 @@ from eha_monitor.mismatch.name.select import Unfollowed, begun, nominal
 from eha_monitor.mismatch.name.starts import limits_of, with_effect
 from eha_monitor.physics.effects import CATALOGUE, NAMES
 from eha_monitor.physics.parameters import place_of
+from eha_monitor.progress import Report, silent
 from eha_monitor.quantity import quantity
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings.monitor import Settings
@@ -108,7 +109,6 @@ YIELDING = 300.0  # times the smallest unknowns, with which a filter follows a w
 LEAST_MOTION = 20.0  # times the position's noise: less motion says nothing
 ATTEMPTS = 3  # motions that are put to a simulation
 MOST_QUESTIONS = 4
-Report = Callable[[str, float], None]
 
 
 def yielding(experiment: Experiment, fit: Fit) -> Fit:
@@ -155,7 +155,7 @@ def advice(experiment: Experiment, fit: Fit, doubts: dict[str, tuple[str, ...]],
     thorough : look at the whole catalogue and at all motions; otherwise at the usual ones.
     report : called with what is done and how far it is, 0 to 1.
     """
-    say = report or (lambda text, share: None)
+    say = report or silent
     say("computing what this recording identifies", 0.0)
     limits = limits_for(experiment)
     if limits is not None:
@@ -303,7 +303,7 @@ def advise(recordings: list[Recording], settings: Settings, check: bool = True,
             names, found = advised_by_balances(answered(recordings, settings, Asked()),
                                                recordings, settings)
             return names, with_motion(found, recordings, settings, check, report)
-        return _advised(recordings, settings, check, report or (lambda text, share: None))
+        return _advised(recordings, settings, check, report or silent)
 
 
 def _advised(recordings: list[Recording], settings: Settings, check: bool, say: Report

@@ -1,6 +1,5 @@
 """What the joint selection names, with a probability for each name and for none."""
 
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -20,8 +19,8 @@ from eha_monitor.mismatch.name.select import Search, Selection, finished, lack_o
 from eha_monitor.mismatch.name.starts import limits_of
 from eha_monitor.mismatch.name.unnamed import loads_of
 from eha_monitor.physics.effects import CATALOGUE
+from eha_monitor.progress import Report, silent
 
-Report = Callable[[str, float], None]
 Names = frozenset[str]
 
 
@@ -130,7 +129,7 @@ def name_effects(search: Search, report: Report | None = None) -> Naming:
     Unfollowed
         If the search may end so.
     """
-    say = report or (lambda text, share: None)
+    say = report or silent
     found = finished(search, say)
     say("fitting the nominal model to the end", 0.9)
     before = settled(found.experiment, found.nominal)

@@ -67,6 +67,7 @@ from eha_monitor.physics import signals as of
 from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.physics.parameters import effect_values
 from eha_monitor.physics.signals import BETA_E, B
+from eha_monitor.progress import Report, silent
 
 LARGER = (FIRST, 10.0 * FIRST, 100.0 * FIRST)  # where a model far off runs away under less
 LEANING = 30.0  # times the smallest unknowns: below, the nominal model needs next to nothing
@@ -330,7 +331,7 @@ def strayed(view: Linearised, refits: Refits) -> bool:
         own.evidence - own.prior > evidence_at_start(refits, view.here) + STRAYED)
 
 
-def begun(experiment: Experiment, say=lambda text, share: None,
+def begun(experiment: Experiment, say: Report = silent,
           first_view: FirstView | None = None, may_end: bool = False,
           known: Sequence[Fit] = (), elsewhere: Elsewhere | None = None, close: bool = False
           ) -> Search:
@@ -386,7 +387,7 @@ def begun(experiment: Experiment, say=lambda text, share: None,
     return search
 
 
-def finished(search: Search, say=lambda text, share: None) -> Selection:
+def finished(search: Search, say: Report = silent) -> Selection:
     """Return what a search ends with: what hid behind a set that is no answer is sought as well.
 
     Raises
@@ -413,7 +414,7 @@ def sketch_of(experiment: Experiment, start: Fit) -> Experiment | None:
     return found if runs else None
 
 
-def explored(search: Search, say: Callable[[str, float], None]) -> Search:
+def explored(search: Search, say: Report) -> Search:
     """Linearise, rank, refit, and again at the best, until the best set stays."""
     experiment, refits, done = search.experiment, search.refits, search.done
     for turn in range(ROUNDS + 1):
