@@ -39,7 +39,7 @@ import numpy as np
 from eha_monitor.mismatch.data.experiment import experiment_of
 from eha_monitor.mismatch.likelihood.along import drive_along, played, smoothed
 from eha_monitor.mismatch.locate.location import latent_gains
-from eha_monitor.mismatch.name.select import nominal
+from eha_monitor.mismatch.name.nominal import nominal
 from eha_monitor.physics.contributions import circuit_of
 from eha_monitor.recordings.read import read_recording
 from eha_monitor.settings import Settings

@@ -33,7 +33,7 @@ NUMERICS = (  # room, constants: how much is searched, and how finely
     ("name.proposals", "HANDFUL"), ("name.proposals", "MOST_OF"), ("name.proposals", "PROMISING"),
     ("name.posterior", "PURSUED"), ("name.rank", "BEAM"), ("name.columns", "TANGENT"),
     ("name.columns", "FAR_OFF"), ("name.polish", "COARSER"), ("name.select", "CATCHING_UP"),
-    ("name.select", "WITHIN_REACH"), ("name.select", "CLOSE"), ("name.select", "LEANING"),
+    ("name.finalists", "WITHIN_REACH"), ("name.neighbours", "CLOSE"), ("name.nominal", "LEANING"),
     ("name.select", "SKETCH"), ("name.unnamed", "HATS"))
 
 

@@ -9,7 +9,7 @@ from eha_monitor.mismatch.data.experiment import Experiment, experiment_of
 from eha_monitor.mismatch.diagnose import diagnose
 from eha_monitor.mismatch.diagnosis import Diagnosis
 from eha_monitor.mismatch.likelihood.fit import Fit
-from eha_monitor.mismatch.name.select import nominal
+from eha_monitor.mismatch.name.nominal import nominal
 from eha_monitor.prove.oracle import best_of
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings import Settings

@@ -22,7 +22,7 @@ from eha_monitor.mismatch.advise.separate import simulated
 from eha_monitor.mismatch.data.experiment import experiment_of
 from eha_monitor.mismatch.likelihood.fit import filtered
 from eha_monitor.mismatch.likelihood.gains import gains_of
-from eha_monitor.mismatch.name.select import nominal
+from eha_monitor.mismatch.name.nominal import nominal
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings import settings_from_tree
 

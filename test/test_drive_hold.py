@@ -17,7 +17,7 @@ from eha_monitor.estimation.pipeline import estimate
 from eha_monitor.mismatch.data.experiment import experiment_of
 from eha_monitor.mismatch.diagnose import diagnose
 from eha_monitor.mismatch.holds import apart_under, as_it_reads
-from eha_monitor.mismatch.name.select import nominal
+from eha_monitor.mismatch.name.nominal import nominal
 from eha_monitor.physics.simulator import Simulator
 from eha_monitor.settings import settings_from_tree
 

@@ -17,7 +17,8 @@ from eha_monitor.mismatch.diagnosis import VERDICTS, Diagnosis, SignalFit, Value
 from eha_monitor.mismatch.holds import gained_under, late_as_held, nominal_of, searched
 from eha_monitor.mismatch.name.before import informative
 from eha_monitor.mismatch.name.naming import Naming
-from eha_monitor.mismatch.name.select import Search, nominal, settled
+from eha_monitor.mismatch.name.nominal import nominal
+from eha_monitor.mismatch.name.select import Search, settled
 from eha_monitor.mismatch.name.starts import starts_of, with_effect
 from eha_monitor.mismatch.policy import POLICY
 from eha_monitor.mismatch.show.held_out import worse

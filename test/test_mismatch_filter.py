@@ -48,8 +48,8 @@ from eha_monitor.mismatch.likelihood.gains import (
     smallest_unknowns,
 )
 from eha_monitor.mismatch.likelihood.innovations import N_FILTERED, riccati
+from eha_monitor.mismatch.name.nominal import lack_of
 from eha_monitor.mismatch.name.refit import unfitted
-from eha_monitor.mismatch.name.select import lack_of
 from eha_monitor.mismatch.name.starts import expected_likelihood, limits_of, possible
 from eha_monitor.mismatch.show.model import robust
 from eha_monitor.physics.contributions import circuit_of

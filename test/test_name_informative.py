@@ -8,7 +8,7 @@ from rig_tools import MULTISINE, REST, settings, simulated
 from eha_monitor.mismatch.data.experiment import BURN_IN, experiment_of
 from eha_monitor.mismatch.name.before import informative, windows_of
 from eha_monitor.mismatch.name.naming import Naming, on_all_of
-from eha_monitor.mismatch.name.select import nominal_model
+from eha_monitor.mismatch.name.nominal import nominal_model
 
 RESTING, MOVING = 9.0, 3.0
 

@@ -15,7 +15,10 @@ from eha_monitor.mismatch.data.experiment import experiment_of
 from eha_monitor.mismatch.likelihood.fit import remade
 from eha_monitor.mismatch.name.candidates import log_prior
 from eha_monitor.mismatch.name.columns import rig_free
+from eha_monitor.mismatch.name.finalists import finish
 from eha_monitor.mismatch.name.naming import in_place_of
+from eha_monitor.mismatch.name.neighbours import lesser, without_each
+from eha_monitor.mismatch.name.nominal import lacks, nominal_model, resolved_nominal, with_rig
 from eha_monitor.mismatch.name.polish import Slopes, polished
 from eha_monitor.mismatch.name.posterior import Refits, posterior
 from eha_monitor.mismatch.name.posterior import counted as counted_by
@@ -36,19 +39,7 @@ from eha_monitor.mismatch.name.refit import (
     unfitted,
     wide,
 )
-from eha_monitor.mismatch.name.select import (
-    Search,
-    far_off,
-    finish,
-    lacks,
-    lesser,
-    next_place,
-    nominal_model,
-    resolved_nominal,
-    unbent,
-    with_rig,
-    without_each,
-)
+from eha_monitor.mismatch.name.select import Search, far_off, next_place, unbent
 from eha_monitor.mismatch.name.starts import starts_of, with_effect
 from eha_monitor.mismatch.policy import POLICY
 from eha_monitor.physics.parameters import place_of

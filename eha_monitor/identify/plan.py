@@ -26,8 +26,8 @@ from eha_monitor.mismatch.likelihood.fit import Fit, free_run
 from eha_monitor.mismatch.likelihood.information import Gram, Slope, Traces, free_slopes, gain_of
 from eha_monitor.mismatch.name.candidates import all_named, candidate, log_prior
 from eha_monitor.mismatch.name.naming import Names, Naming
+from eha_monitor.mismatch.name.nominal import nominal
 from eha_monitor.mismatch.name.posterior import counted
-from eha_monitor.mismatch.name.select import nominal
 from eha_monitor.mismatch.name.starts import own_sizes, starts_of, with_effect
 from eha_monitor.mismatch.policy import POLICY
 from eha_monitor.physics import signals as s

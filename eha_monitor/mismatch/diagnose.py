@@ -33,7 +33,8 @@ from eha_monitor.mismatch.likelihood.fit import Fit
 from eha_monitor.mismatch.locate.terms import BALANCES
 from eha_monitor.mismatch.name.before import FirstView, at_its_angle, informative
 from eha_monitor.mismatch.name.naming import Naming, follows, name_effects, on_all_of
-from eha_monitor.mismatch.name.select import Elsewhere, Search, begun, lack_of
+from eha_monitor.mismatch.name.nominal import lack_of
+from eha_monitor.mismatch.name.select import Elsewhere, Search, begun
 from eha_monitor.mismatch.show.changed import changed_between
 from eha_monitor.progress import Report, silent
 from eha_monitor.quantity import quantity

@@ -20,14 +20,9 @@ from eha_monitor.mismatch.likelihood.fit import Fit, spread, with_unknowns
 from eha_monitor.mismatch.name.before import informative
 from eha_monitor.mismatch.name.columns import effects_of
 from eha_monitor.mismatch.name.naming import Naming
+from eha_monitor.mismatch.name.nominal import nominal_model
 from eha_monitor.mismatch.name.refit import looked, settled
-from eha_monitor.mismatch.name.select import (
-    GAINED,
-    Elsewhere,
-    Search,
-    Unfollowed,
-    nominal_model,
-)
+from eha_monitor.mismatch.name.select import GAINED, Elsewhere, Search, Unfollowed
 from eha_monitor.mismatch.name.starts import without_effect
 from eha_monitor.physics import signals as s
 from eha_monitor.settings.monitor import Settings

@@ -48,8 +48,9 @@ from eha_monitor.mismatch.likelihood.fit import Fit, with_unknowns
 from eha_monitor.mismatch.likelihood.gains import Unknowns
 from eha_monitor.mismatch.likelihood.information import Slope, Traces, free_slopes
 from eha_monitor.mismatch.name.naming import Naming, follows, name_effects
+from eha_monitor.mismatch.name.nominal import nominal
 from eha_monitor.mismatch.name.refit import settled
-from eha_monitor.mismatch.name.select import Unfollowed, begun, nominal
+from eha_monitor.mismatch.name.select import Unfollowed, begun
 from eha_monitor.mismatch.name.starts import limits_of, with_effect
 from eha_monitor.physics.effects import CATALOGUE, NAMES
 from eha_monitor.physics.parameters import place_of

@@ -22,7 +22,7 @@ from eha_monitor.mismatch.likelihood.fit import (
     with_unknowns,
 )
 from eha_monitor.mismatch.name.naming import Naming
-from eha_monitor.mismatch.name.select import needing_least, nominal_model
+from eha_monitor.mismatch.name.nominal import needing_least, nominal_model
 from eha_monitor.mismatch.name.starts import expected_likelihood, needs
 from eha_monitor.mismatch.policy import SearchPolicy
 from eha_monitor.mismatch.show.model import robust, values_of

@@ -22,7 +22,7 @@ from eha_monitor.mismatch.likelihood.invariance import consistent, directions, t
 from eha_monitor.mismatch.name.columns import rig_free
 from eha_monitor.mismatch.name.gates import at_bound
 from eha_monitor.mismatch.name.naming import Naming
-from eha_monitor.mismatch.name.select import with_rig
+from eha_monitor.mismatch.name.nominal import with_rig
 from eha_monitor.physics import signals as s
 from eha_monitor.physics.contributions import N_EFFECTS, circuit_of
 from eha_monitor.physics.effects import CATALOGUE, NAMES

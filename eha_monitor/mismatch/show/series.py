@@ -31,7 +31,7 @@ from eha_monitor.mismatch.locate.terms import (
     modelled_speed,
     unexplained_terms,
 )
-from eha_monitor.mismatch.name.select import nominal
+from eha_monitor.mismatch.name.nominal import nominal
 from eha_monitor.physics.contributions import ALL_NAMES
 from eha_monitor.physics.parameters import theta_of
 from eha_monitor.recordings.bag_writer import BagWriter
