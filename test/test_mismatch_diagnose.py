@@ -18,7 +18,8 @@ from eha_monitor.mismatch.holds import gained_under, late_as_held, nominal_of, s
 from eha_monitor.mismatch.name.before import informative
 from eha_monitor.mismatch.name.naming import Naming
 from eha_monitor.mismatch.name.nominal import nominal
-from eha_monitor.mismatch.name.select import Search, settled
+from eha_monitor.mismatch.name.refit import settled
+from eha_monitor.mismatch.name.select import Manner, Search
 from eha_monitor.mismatch.name.starts import starts_of, with_effect
 from eha_monitor.mismatch.policy import POLICY
 from eha_monitor.mismatch.show.held_out import worse
@@ -297,7 +298,7 @@ def test_a_hold_that_was_decided_wrongly_ends_with_the_first_refits():
     def begin(experiment, may_end, elsewhere):
         sampled = experiment.settings.command_hold == "sampled"
         fit = nominal(experiment)[1]
-        search = Search.at(experiment, fit, elsewhere=elsewhere)
+        search = Search.at(experiment, fit, Manner(elsewhere=elsewhere))
         if sampled:
             search.leave()
         asked.append(experiment.settings.command_hold)

@@ -39,7 +39,7 @@ from eha_monitor.mismatch.name.refit import (
     unfitted,
     wide,
 )
-from eha_monitor.mismatch.name.select import Search, far_off, next_place, unbent
+from eha_monitor.mismatch.name.select import Manner, Search, far_off, next_place, unbent
 from eha_monitor.mismatch.name.starts import starts_of, with_effect
 from eha_monitor.mismatch.policy import POLICY
 from eha_monitor.physics.parameters import place_of
@@ -485,7 +485,7 @@ def test_backlash_shows_where_the_pressures_are_the_input():
 def test_beside_closed_balances_a_round_that_gains_nothing_is_the_last(found):
     """What was found is gated; where nothing was, the nominal model is what stands."""
     case = fitted("coulomb_friction")
-    search = Search.at(case.experiment, case.before, close=True)
+    search = Search.at(case.experiment, case.before, Manner(close=True))
     here, fit = next_place(search, 0)
     assert here == frozenset() and fit is case.before
     search.done[frozenset()] = search.refits.evidence[frozenset()]

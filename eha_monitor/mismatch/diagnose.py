@@ -34,7 +34,7 @@ from eha_monitor.mismatch.locate.terms import BALANCES
 from eha_monitor.mismatch.name.before import FirstView, at_its_angle, informative
 from eha_monitor.mismatch.name.naming import Naming, follows, name_effects, on_all_of
 from eha_monitor.mismatch.name.nominal import lack_of
-from eha_monitor.mismatch.name.select import Elsewhere, Search, begun
+from eha_monitor.mismatch.name.select import PLAINLY, Manner, Search, begun
 from eha_monitor.mismatch.show.changed import changed_between
 from eha_monitor.progress import Report, silent
 from eha_monitor.quantity import quantity
@@ -131,8 +131,9 @@ def _diagnosed(recordings: list[Recording], settings: Settings, held_out: Record
         lambda under: as_it_reads(at_its_angle(experiment_of(
             recordings, under, held_out is None, without))),
         held, decision, stands,
-        lambda experiment, may_end, elsewhere: begun_in(experiment, say, first, may_end,
-                                                        known or (), elsewhere),
+        lambda experiment, may_end, elsewhere: begun_in(experiment, say, Manner(
+            view_of(first), may_end, first is not None and agrees_closely(first), elsewhere),
+            known or ()),
         lambda search: name_effects(search, lambda text, share: say(text, 0.85 * share)))
     experiment, decision, named = end.experiment, end.decision, end.named
     if not end.followed:
@@ -164,22 +165,13 @@ def by_first(first: Diagnosis, started: float) -> Diagnosis:
     return replace(first, advice=(*notes, *first.advice), wall_s=time.perf_counter() - started)
 
 
-def begun_in(experiment: Experiment, say: Report, first: Diagnosis | None = None,
-             may_end: bool = False, known: Sequence[Fit] = (),
-             elsewhere: Elsewhere | None = None) -> tuple[Experiment, Search] | None:
-    """Begin a search in the most informative windows; None where the piston hardly moves.
-
-    Parameters
-    ----------
-    first : what the balances answer.
-    may_end, known, elsewhere : see :class:`select.Search` and :func:`select.begun`.
-    """
+def begun_in(experiment: Experiment, say: Report, manner: Manner = PLAINLY,
+             known: Sequence[Fit] = ()) -> tuple[Experiment, Search] | None:
+    """Begin a search in the most informative windows; None where the piston hardly moves."""
     if experiment.ranges.position < TRAVEL * experiment.noise[0]:
         return None
     windows = informative(experiment)
-    return windows, begun(windows, lambda text, share: say(text, 0.85 * share),
-                          view_of(first), may_end, known, elsewhere,
-                          first is not None and agrees_closely(first))
+    return windows, begun(windows, lambda text, share: say(text, 0.85 * share), manner, known)
 
 
 def view_of(first: Diagnosis | None) -> FirstView | None:

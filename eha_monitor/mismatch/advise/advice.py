@@ -50,7 +50,7 @@ from eha_monitor.mismatch.likelihood.information import Slope, Traces, free_slop
 from eha_monitor.mismatch.name.naming import Naming, follows, name_effects
 from eha_monitor.mismatch.name.nominal import nominal
 from eha_monitor.mismatch.name.refit import settled
-from eha_monitor.mismatch.name.select import Unfollowed, begun
+from eha_monitor.mismatch.name.select import Manner, Unfollowed, begun
 from eha_monitor.mismatch.name.starts import limits_of, with_effect
 from eha_monitor.physics.effects import CATALOGUE, NAMES
 from eha_monitor.physics.parameters import place_of
@@ -323,7 +323,7 @@ def _advised(recordings: list[Recording], settings: Settings, check: bool, say: 
     first = first_answer(recordings, settings, Asked())
     far = far_from_config(first)  # as in a diagnosis: no filter may be able to follow
     try:
-        naming = name_effects(begun(experiment, said, may_end=far), said)
+        naming = name_effects(begun(experiment, said, Manner(may_end=far)), said)
     except Unfollowed:
         naming = None
     if naming is None or (far and not follows(naming)):

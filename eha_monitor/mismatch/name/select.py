@@ -90,6 +90,29 @@ class Selection:
     beside: Linearised
 
 
+@dataclass(frozen=True)
+class Manner:
+    """What a search is told of the recording.
+
+    Attributes
+    ----------
+    view : what least squares name: a set that is fitted from their numbers where all that was
+        found lacks something.
+    may_end : ends by :class:`Unfollowed` where no law follows.
+    close : the config's own model closes every balance: what has a name shows from there, and a
+        round that gains nothing is the last.  A filter then sees the form of a law.
+    elsewhere : asked once where no law follows: is a fit better off under another input?
+    """
+
+    view: FirstView | None = None
+    may_end: bool = False
+    close: bool = False
+    elsewhere: Elsewhere | None = None
+
+
+PLAINLY = Manner()
+
+
 @dataclass
 class Search:
     """A search for the best set.
@@ -98,48 +121,44 @@ class Search:
     ----------
     experiment, nominal : the samples that it is made on, and the nominal model fitted to them.
     refits : every refitted set.
-    sketch : on some of the samples, to begin with: nothing is fitted to the end.
+    manner : what it is told; ``sketch`` it is made on some of the samples, to begin with, and
+        nothing is fitted to the end.
+    bare : the nominal model with nothing of the rig free.
     widely : also from other places of the nominal model; else from what a sketch has found.
     views : names -> linearisation at a refitted model.
     done : names -> evidence with which a model was linearised.
     ended : what is best was fitted to the end, or need not be; ``far`` the last of the other
-        places was tried.
-    view : what least squares name, until it was looked at.
-    may_end : ends by :class:`Unfollowed` where no law follows; ``lack`` what the best model lacked
-        after the round before, log units a sample.
-    close : the config's own model closes every balance: what has a name shows from there, and a
-        round that gains nothing is the last.  A filter then sees the form of a law; ``vain`` where
-        no set has begun to explain it.
-    elsewhere : asked once where no law follows: is a fit better off under another input?
-    bare : the nominal model with nothing of the rig free.
+        places was tried, ``viewed`` what least squares name, ``asked`` whether to go elsewhere.
+    lack : what the best model lacked after the round before, log units a sample.
+    vain : the balances are closed, and no set has begun to explain what a filter lacks.
     """
 
     experiment: Experiment
     nominal: Fit
     refits: Refits
+    manner: Manner = PLAINLY
     sketch: bool = False
+    bare: Fit | None = None
     widely: bool = True
     views: dict[Names, Linearised] = field(default_factory=dict)
     done: dict[Names, float] = field(default_factory=dict)
     ended: bool = False
     far: bool = False
-    view: FirstView | None = None
-    may_end: bool = False
-    close: bool = False
-    vain: bool = False
+    viewed: bool = False
+    asked: bool = False
     lack: float = np.inf
-    bare: Fit | None = None
-    elsewhere: Elsewhere | None = None
+    vain: bool = False
 
     @classmethod
-    def at(cls, experiment: Experiment, nominal: Fit, **more) -> "Search":
-        """Return a search at its beginning; ``more`` of its attributes."""
+    def at(cls, experiment: Experiment, nominal: Fit, manner: Manner = PLAINLY,
+           sketch: bool = False, bare: Fit | None = None) -> "Search":
+        """Return a search at its beginning."""
         refits = Refits(experiment.policy)
         refits.add(experiment, frozenset(), nominal)
-        return cls(experiment, nominal, refits, ended=more.get("sketch", False), **more)
+        return cls(experiment, nominal, refits, manner, sketch, bare, ended=sketch)
 
-    def gained_nothing(self) -> bool:
-        """Tell whether the best model lacks something, after the last round as before."""
+    def after_round(self) -> bool:
+        """Note what the best model lacks now; tell whether the last round took nothing of it."""
         before, self.lack = self.lack, lack_of(self.experiment, self.found)
         return self.lack > (1.0 - GAINED) * before and lacks(self.experiment, self.found)
 
@@ -151,17 +170,17 @@ class Search:
         Unfollowed
             If so.
         """
-        if self.elsewhere is None or not (
+        if self.asked or self.manner.elsewhere is None or not (
                 lack_of(self.experiment, self.found) > self.experiment.policy.lacking):
             return
-        asked, self.elsewhere = self.elsewhere, None
-        if asked(self.found):
+        self.asked = True
+        if self.manner.elsewhere(self.found):
             raise Unfollowed
 
     @property
     def out_of_time(self) -> bool:
         """Tell whether it may end without an answer, and has had its time."""
-        return self.may_end and self.experiment.work.steps > ENOUGH
+        return self.manner.may_end and self.experiment.work.steps > ENOUGH
 
     @property
     def found(self) -> Fit:
@@ -179,7 +198,7 @@ class Search:
         A fit that begins far off may stay between two models, where the unknowns that each asks
         for hold it; least squares are linear and need no start.
         """
-        view, self.view = self.view, None
+        view, self.viewed = self.manner.view, True
         if view is None or not lacks(self.experiment, self.found):
             return
         fit = view.entered(self.experiment, self.nominal)
@@ -251,10 +270,8 @@ def strayed(view: Linearised, refits: Refits) -> bool:
         own.evidence - own.prior > evidence_at_start(refits, view.here) + STRAYED)
 
 
-def begun(experiment: Experiment, say: Report = silent,
-          first_view: FirstView | None = None, may_end: bool = False,
-          known: Sequence[Fit] = (), elsewhere: Elsewhere | None = None, close: bool = False
-          ) -> Search:
+def begun(experiment: Experiment, say: Report = silent, manner: Manner = PLAINLY,
+          known: Sequence[Fit] = ()) -> Search:
     """Begin to find the set of effects and wrong numbers of the rig that a recording supports.
 
     The search comes back after its first pass, judged by the gates.
@@ -264,9 +281,6 @@ def begun(experiment: Experiment, say: Report = silent,
 
     Parameters
     ----------
-    first_view : what least squares name: a set that is fitted from their numbers where all that
-        was found lacks something.
-    may_end, elsewhere, close : see :class:`Search`.
     known : models with names that were found on other recordings of the same rig, the best first.
 
     Raises
@@ -283,8 +297,7 @@ def begun(experiment: Experiment, say: Report = silent,
     if not near:
         start = likelier(nominal_model(experiment, within=True), start)
     start = likelier(start, from_config(experiment))
-    search = Search.at(experiment, start, view=first_view, may_end=may_end, bare=first,
-                       elsewhere=elsewhere, close=close)
+    search = Search.at(experiment, start, manner, bare=first)
     if not search.refits.evidence:
         raise np.linalg.LinAlgError("the nominal model's evidence is singular")
     search.going_on_from(known)
@@ -293,10 +306,8 @@ def begun(experiment: Experiment, say: Report = silent,
     sketch = sketch_of(experiment, start) if search.widely else None
     if sketch is not None:
         say("searching a third of the samples", 0.1)
-        found = explored(Search.at(sketch, with_unknowns(sketch, start), sketch=True,
-                                   view=first_view, may_end=may_end, close=close,
-                                   elsewhere=elsewhere), say)
-        if may_end and lack_of(sketch, found.found) > experiment.policy.lacking:
+        found = explored(Search.at(sketch, with_unknowns(sketch, start), manner, sketch=True), say)
+        if manner.may_end and lack_of(sketch, found.found) > experiment.policy.lacking:
             raise Unfollowed
         caught_up(sketch, found.refits)
         search.going_on_from([found.refits.fits[names] for names in within_reach(found.refits)
@@ -377,28 +388,28 @@ def next_place(search: Search, turn: int) -> tuple[Names, Fit] | None:
     """
     if search.out_of_time:
         raise Unfollowed
-    nothing = search.gained_nothing()
-    if nothing and search.close:
+    nothing = search.after_round()
+    if nothing and search.manner.close:
         start = unbent(search) if turn == 1 else None
         search.vain = start is None and not search.refits.best()
         return None if start is None else (frozenset(), start)
-    if nothing and search.may_end and search.lack > search.experiment.policy.lacking:
+    if nothing and search.manner.may_end and search.lack > search.experiment.policy.lacking:
         other = None if search.far else far_off(search)
         if other is None:
             raise Unfollowed
         search.far, search.lack = True, np.inf
         return frozenset(), other
     at = search.refits.ahead(search.done, STRAYED)
-    if at is None and search.view is not None:
+    if at is None and not search.viewed:
         search.look_at_first_view()
         at = search.refits.ahead(search.done, STRAYED)
     if at is None and not search.ended:
         finish(search.experiment, search.refits)
         search.ended = True
         at = search.refits.ahead(search.done, STRAYED)
-    elsewhere = search.widely and not search.close
-    other = unbent(search) if turn == 1 and elsewhere else None
-    if other is None and at is None and elsewhere and not search.far:
+    wider = search.widely and not search.manner.close
+    other = unbent(search) if turn == 1 and wider else None
+    if other is None and at is None and wider and not search.far:
         search.far, other = True, far_off(search)
     if other is None:
         return at
