@@ -653,6 +653,17 @@ def test_a_header_block_with_units_below(tmp_path):
     assert found.units[:2] == ("s", "mm")
 
 
+@pytest.mark.parametrize("above", ["Messung Achse 1;;\n", "Messung Achse 1;;\nDatum;2026-03-02;\n",
+                                   "Rig;Axis 1;\n\n"])
+def test_a_title_that_a_spreadsheet_has_filled_up(tmp_path, above):
+    file = tmp_path / "a.csv"
+    file.write_text(above + "Zeit [ms];Weg [mm];Druck A [bar]\n"
+                    + "".join(f"{2 * k};{k},5;17,2\n" for k in range(9)))
+    found = layout_of(file)
+    assert found.names == ("Zeit [ms]", "Weg [mm]", "Druck A [bar]")
+    assert list(source_of(file).candidates[1].values[:2]) == [0.5, 1.5]
+
+
 def test_a_person_at_a_terminal_is_asked(tmp_path):
     file = german(tmp_path / "a.csv")
     leader, follower = pty.openpty()

@@ -98,7 +98,10 @@ def _with_names(delimiter: str, start: int, rows: list[list[str]]) -> Layout:
         return Layout(delimiter, 0 if commented else start, False,
                       tuple(said) if commented else tuple(map(str, range(count))), blank)
     units = [place for place in head if _are_units(rows[place])]
-    named = [place for place in head if place not in units] or head[:1]
+    filled = {place: sum(map(bool, map(str.strip, rows[place]))) for place in head}
+    # A spreadsheet fills a title's line up with empty cells.
+    named = [place for place in head if place not in units
+             and filled[place] >= 0.7 * max(filled.values())] or head[:1]
     names = rows[named[0]]
     row = next((rows[place] for place in units if place != named[0]), blank)
     return Layout(delimiter, named[0], True,
