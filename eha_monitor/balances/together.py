@@ -72,8 +72,9 @@ def of_one_machine(courses: Sequence[Course], rig: Rig, policy: Policy = POLICY)
             [table.rms(table.crosswise(names)) for table in tables.tables])
         first = errors if first is None else first
         gain, t = tables.gain(first, errors)
-        gains[oil] = gain if oil == IN_TURN or (gain >= owed and (
-            t >= policy.repeats or len(courses) == 1)) else -np.inf
+        # Gains of unlike motions scatter by more than they are sure: as sure is what each says.
+        each = len(courses) == 1 or t >= policy.repeats or bool((errors < first).all())
+        gains[oil] = gain if oil == IN_TURN or (gain >= owed and each) else -np.inf
         displacements[oil] = -np.median([table.mixture(table.gram, names)[table.places["D_p"]]
                                          for table in tables.tables])
     best = list(ways)[ties.largest(list(gains.values()))]
