@@ -8,8 +8,8 @@ gain over all terms and times is a change where
 - it gains more, by ``alone``, than what a name owes, and than a step in the order of speed or of
   position instead of time: else the motion has changed, and the law that is missing with it;
 - it gains more, by ``alone``, than a steady drift of the same number, such as a sensor's;
-- delta is as far from nothing as a name owes, by chance: a missing law that looks like a term
-  looks like it before and after.
+- delta is as far from nothing as a name owes, by chance, and as what is sure also by its form:
+  a missing law that looks like a term looks like it before and after, in the same motion.
 
 Bai and Perron 1998 for one change by least squares; the judgement on unseen blocks stands in the
 place of their critical values, which hold for independent samples only.
@@ -172,7 +172,8 @@ class _Steps:
         own, value, chance, stddev, least = self.fitted(name, place)
         # As oil warms, and a gain differs by the shape of a motion, a number moves a little.
         little = policy.between if self.of[name].of_oil else policy.worse
-        if abs(value) < max(policy.owed * chance, little * own) or least:
+        if abs(value) < max(policy.owed * chance, little * own) or least or not policy.sure(
+                value, stddev):
             return None
         start, stop = self.edges[[place - 1, place + 1]].tolist()
         return _told(self.table.source, self.of[name], (start, stop), float(gains[name].max()),
