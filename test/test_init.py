@@ -746,7 +746,24 @@ def test_the_loop_gain_is_seen_beside_lag_and_limit():
     for k in range(1, len(time)):
         wanted = np.clip(gain * error[k - 1], -limit, limit)
         omega[k] = omega[k - 1] + (wanted - omega[k - 1]) * (1.0 - np.exp(-step / lag))
-    found, share = _loop_gain(omega, error, step)
-    assert abs(found / gain - 1.0) < 0.01 and share > 0.99
+    found = _loop_gain(omega, np.zeros_like(error), error, step)
+    assert abs(found.K_pos / gain - 1.0) < 0.01 and found.explains > 0.99 and not found.fed
     plain = float(omega @ error / (error @ error))
     assert abs(plain / gain - 1.0) > 0.03  # what least squares on the gain alone would say
+
+
+def test_the_loop_gain_is_seen_beside_a_feed_forward():
+    """The piston follows its demand, so the error is a small rest of what drives the pump."""
+    from eha_monitor.draft.rig import BESIDE_FED, _loop_gain
+
+    step, gain, fed, over = 1e-3, 2.0e4, 1440.0, 0.00059  # over: m of travel per rad of the pump
+    time = np.arange(20000) * step
+    demand = 0.02 * np.sin(2 * np.pi * 0.4 * time) + 0.01 * np.sin(2 * np.pi * 1.1 * time)
+    rate, x, omega = np.gradient(demand, step), np.zeros_like(time), np.zeros_like(time)
+    for k in range(1, len(time)):
+        x[k] = x[k - 1] + over * omega[k - 1] * step
+        omega[k] = gain * (demand[k] - x[k]) + fed * rate[k]
+    found = _loop_gain(omega, demand, demand - x, step)
+    assert abs(found.K_pos / gain - 1.0) < BESIDE_FED and abs(found.fed / fed - 1.0) < 0.02
+    plain = float(omega @ (demand - x) / ((demand - x) @ (demand - x)))
+    assert plain > 3.0 * gain  # what least squares on the gain alone would say

@@ -12,6 +12,7 @@ from command_tools import refused
 from hypothesis import given, strategies
 from hypothesis import settings as property_settings
 from rig_tools import MULTISINE, TRIANGLE, fed, motion, settings
+from scipy.signal import lfilter
 
 from eha_monitor import cli
 from eha_monitor.errors import InputError
@@ -204,6 +205,17 @@ def test_a_measured_force_tells_its_unit_and_sign():
 @pytest.mark.parametrize("shape", [TRIANGLE, MULTISINE], ids=["triangle", "multisine"])
 def test_physics_that_is_left_out_is_no_mistake(effects, shape):
     assert not plausibility_of(*made(shape, 8.0, effects)).findings
+
+
+@pytest.mark.parametrize("recording, config", [PAPER, SECOND], ids=["paper", "single rod"])
+def test_a_feed_forward_makes_no_gain_implausible(recording, config):
+    """A demand r with r + T r' = x_d drives the pump by K (r - x) + K T r'."""
+    rig, step = config.rig, recording.sample_time
+    lag = 0.85 * rig.area_1 / (rig.position_gain * rig.pump_displacement)
+    demand = lfilter([1.0 - np.exp(-step / lag)], [1.0, -np.exp(-step / lag)],
+                     recording.channels["x_d"])
+    led = replace(recording, channels=recording.channels | {"x_d": demand})
+    assert not plausibility_of(led, config).findings
 
 
 @property_settings(max_examples=40)

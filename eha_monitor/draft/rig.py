@@ -5,17 +5,21 @@ Its numbers, their tolerances, and the choices that are still to be made.
 
 from dataclasses import dataclass, replace
 from math import degrees, pi
+from typing import NamedTuple
 
 import numpy as np
 
 from eha_monitor.draft.answers import FLOWS, Answers, flow_at
 from eha_monitor.errors import InputError
+from eha_monitor.plausibility.relations import FED
 from eha_monitor.quantity import quantity
 from eha_monitor.settings.rig import Rig
 
 FITS = 0.97  # share of the pump speed's variance that a gain must explain to be written
 FREE = 0.9  # of the highest speed seen: a drive that is asked for less is at no limit
 LEANS = 0.25  # of the unexplained share: how far that may pull the gain
+# Relative error of a gain beside a feed-forward, where a delay is taken for a lag.
+BESIDE_FED = 0.1
 PAPER = "default of the paper"
 MEAN_FREE = "the mean of both pressures"
 # Key -> tolerance where it was answered, where it follows from other numbers or the recording,
@@ -73,6 +77,18 @@ class Entry:
     off: float = 0.0
 
 
+class Gain(NamedTuple):
+    """A gain of the position loop that a recording shows.
+
+    K_pos : rad/(s·m); ``explains`` the share of the speed's variance, beside a feed-forward of the
+        demand's rate, ``fed``, rad/m, where that is much of it.
+    """
+
+    K_pos: float
+    explains: float
+    fed: float = 0.0
+
+
 @dataclass(frozen=True)
 class Seen:
     """What the recording itself shows of the rig; None where it does not.
@@ -80,14 +96,13 @@ class Seen:
     Attributes
     ----------
     sample_time : s.
-    gain : rad/(s·m), and the share of the speed's variance that it explains.
     charge : Pa, the mean of both pressures.
     pump_over_area : m of travel per rad of the pump, D_p/A.
     span : m, the lowest and the highest position.
     """
 
     sample_time: float
-    gain: tuple[float, float] | None = None
+    gain: Gain | None = None
     charge: float | None = None
     pump_over_area: float | None = None
     span: tuple[float, float] | None = None
@@ -295,11 +310,17 @@ def seen_pump(answers: Answers, area: Entry, seen: Seen) -> str:
 def _gain(answers: Answers, seen: Seen) -> Entry:
     if "position_gain" in answers.rig:
         return _answered(answers, "position_gain")
-    if seen.gain and seen.gain[1] > FITS and seen.gain[0] > 0:
-        return Entry("position_gain", number(seen.gain[0]), "values: omega over x_d - x, which "
-                     f"explains {100 * min(seen.gain[1], 0.9999):.2f} % of omega",
-                     off=round(LEANS * float(np.sqrt(max(1.0 - seen.gain[1], 0.0))), 3))
-    told = f" (x_d - x explains {100 * seen.gain[1]:.0f} % of omega)" if seen.gain else ""
+    gain, off = seen.gain, 0.0
+    if gain and gain.explains > FITS and gain.K_pos > 0:
+        why = (f"values: omega over x_d - x, which explains {100 * min(gain.explains, 0.9999):.2f}"
+               " % of omega")
+        if gain.fed:
+            why += (f" beside a feed-forward of {number(gain.fed)} rad/m, for which a config "
+                    "has no key")
+            off = BESIDE_FED
+        return Entry("position_gain", number(gain.K_pos), why, off=max(off, round(
+            LEANS * float(np.sqrt(max(1.0 - gain.explains, 0.0))), 3)))
+    told = f" (x_d - x explains {100 * gain.explains:.0f} % of omega)" if gain else ""
     return Entry("position_gain", "null", "pump speed over position error, rad/(s·m); null: "
                                           f"unknown{told}", True)
 
@@ -391,7 +412,8 @@ def seen_in(recording) -> Seen:
     if recording.has("x") and np.isfinite(recording.get("x")).any():
         span = float(np.nanmin(recording.get("x"))), float(np.nanmax(recording.get("x")))
     if recording.has("omega", "x", "x_d"):
-        gain = _loop_gain(recording.get("omega"), recording.get("x_d") - recording.get("x"), step)
+        gain = _loop_gain(recording.get("omega"), recording.get("x_d"),
+                          recording.get("x_d") - recording.get("x"), step)
     if recording.has("p1", "p2"):
         charge = float(np.nanmedian(0.5 * (recording.get("p1") + recording.get("p2"))))
     if recording.has("omega", "x"):
@@ -407,23 +429,34 @@ def _trendless(values: np.ndarray) -> np.ndarray:
     return values - np.polyval(np.polyfit(place[good], values[good], 1), place)
 
 
-def _loop_gain(omega: np.ndarray, error: np.ndarray, step: float) -> tuple[float, float] | None:
-    """Return K_pos of omega + tau omega' = K_pos (x_d - x), and the share that it explains.
+def _loop_gain(omega: np.ndarray, demand: np.ndarray, error: np.ndarray, step: float
+               ) -> Gain | None:
+    """Return K_pos of omega + tau omega' = K_pos (x_d - x) + k_v x_d', and what it explains.
 
     Least squares, tau beside K_pos: a lag that is left out makes the gain too small. So do samples
-    in which the drive gives the highest speed that it has: what asks for more is left out.
+    in which the drive gives the highest speed that it has: what asks for more is left out.  A
+    feed-forward k_v is none where K_pos alone explains as much: the error goes with the speed.
     """
     plain = _slope(omega, error)
     if plain is None:
         return None
     wanted, top = np.abs(plain[0] * error), float(np.nanmax(np.abs(omega)))
     rate = np.gradient(omega, step)
-    good = np.isfinite(rate) & np.isfinite(omega) & (wanted < FREE * top)
+    good = np.isfinite(rate) & np.isfinite(omega) & np.isfinite(error) & (wanted < FREE * top)
     if good.sum() < 100 or not np.std(omega[good]):
-        return plain
-    columns, there = np.column_stack([error, -rate])[good], omega[good]
-    found = np.linalg.lstsq(columns, there, rcond=None)[0]
-    return float(found[0]), 1.0 - float(np.var(there - columns @ found) / np.var(there))
+        return Gain(*plain)
+    there = omega[good]
+
+    def fitted(*columns: np.ndarray) -> tuple[np.ndarray, float]:
+        matrix = np.column_stack(columns)[good]
+        w = np.linalg.lstsq(matrix, there, rcond=None)[0]
+        return w, float(np.var(there - matrix @ w) / np.var(there))
+
+    alone, left = fitted(error, -rate)
+    fed, less = fitted(error, -rate, np.gradient(demand, step))
+    if fed[0] > 0.0 and less < FED * left:
+        return Gain(float(fed[0]), 1.0 - less, float(fed[2]))
+    return Gain(float(alone[0]), 1.0 - left)
 
 
 def _slope(left: np.ndarray, right: np.ndarray) -> tuple[float, float] | None:

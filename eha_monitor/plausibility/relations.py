@@ -151,7 +151,7 @@ def swept(c: list[list[float]]) -> None:
 MOST = 12.0  # log units that one relation can say
 # Honest spread of each ratio, as a relative standard deviation: configured numbers and the
 # physics of the catalogue at its usual size.
-SPREAD = {"mass": 0.15, "damping": 0.7, "guessed": 2.0, "flow": 0.10, "drive": 0.10,
+SPREAD = {"mass": 0.15, "damping": 0.7, "guessed": 2.0, "flow": 0.10, "drive": 0.10, "fed": 0.3,
           "tracking": 0.05, "stroke": 0.15, "speed": 0.05, "size": 0.7, "both_forces": 0.2,
           "stiffness": 0.3, "charge": 0.7}
 # Log units against a recording whose sample time is a power of ten away from the one that
@@ -159,6 +159,7 @@ SPREAD = {"mass": 0.15, "damping": 0.7, "guessed": 2.0, "flow": 0.10, "drive": 0
 OTHER_CLOCK = 6.0
 OIL = (5e6, 5e9)  # Pa: no oil is stiffer, and none softer that still moves a piston
 NOTHING = 300.0  # times the mass, which no two mistakes make of one
+FED = 0.1  # of what a gain leaves of the speed, that a feed-forward beside it leaves
 SLIGHT = 0.02  # of the motion: a lag below this may be a feed-forward's lead
 # A relation whose left side is explained but for a share u counts FIT ln u: as many independent
 # samples as a motion has corners, not as many as the recording has.
@@ -309,9 +310,13 @@ def times(value: float) -> str:
     return f"{value:.2f} times" if 0.1 <= abs(value) < 100 else f"{figure(value)} times"
 
 
-def slope_check(name: str, found: Ratio, what: str, of: str) -> Check:
-    """Return the check of a slope that should be 1, e.g. ``what`` is 0.98 times ``of``."""
-    return Check(name, cost(found.slope, found.rho, SPREAD[name]),
+def slope_check(name: str, found: Ratio, what: str, of: str, spread: float | None = None
+                ) -> Check:
+    """Return the check of a slope that should be 1, e.g. ``what`` is 0.98 times ``of``.
+
+    Its logarithm scatters by ``spread``, without it by what ``SPREAD`` has for the name.
+    """
+    return Check(name, cost(found.slope, found.rho, spread or SPREAD[name]),
                  Phrase(f"{what} is {times(found.slope)} {of}", f"{times(found.slope)}"),
                  Phrase(f"{what} and {of} have correlation {found.rho:.2f}",
                         f"{found.rho:+.2f}"), found.rho < 0, found.slope,
@@ -348,9 +353,15 @@ def drive(reading: Reading) -> Check | None:
     if not gain or not reading.has("omega", "x", "x_d"):
         return None
     error = reading.column("x_d", 0, gain) - reading.column("x", 0, gain)
-    found = ratio(reading, reading.column("omega"), error, reading.column("omega", 1))
+    speed, lag = reading.column("omega"), reading.column("omega", 1)
+    found = ratio(reading, speed, error, lag)
     if found is None:
         return None
+    # Most controllers feed the demand's own rate forward, and the error is then a small rest.
+    led = ratio(reading, speed, error, lag, reading.column("x_d", 1))
+    if led is not None and 1.0 - led.share < FED * (1.0 - found.share):
+        return slope_check("drive", led, "the pump's speed beside a feed-forward",
+                           "K_pos (x_d - x)", SPREAD["fed"])
     return slope_check("drive", found, "the pump's speed", "K_pos (x_d - x)")
 
 
