@@ -18,7 +18,8 @@ from eha_monitor.settings.rig import Rig
 LOW = 0.05  # of the samples of an emptier chamber: what stands for its lowest pressure
 AWHILE = 1e-3  # of the samples: a pressure that is reached, and not by noise
 EMPTY = 0.1  # of the samples in which a chamber is the emptier one, for that to be said
-BAND = 5.0  # Hz: pass band of every balance; wider ones are for motions beyond it
+# Hz: pass bands of the balances, the next one where a motion is too quick for the one before.
+BANDS = BAND, _ = 5.0, 20.0
 MOTION = 4.0  # bands: pass band of the motion
 GRID, COARSE = 32, 4  # points in a period of the band; each so-many-th of them is compared
 NO_MOTION = "nothing moves in it"
@@ -138,6 +139,17 @@ class Course:
         return not self.still
 
     @cached_property
+    def steady(self) -> float:
+        """Share of its motion that goes steadily one way, as its band shows it."""
+        fast = int(np.sum(self.good & (np.abs(self.v) >= STANDING * self.speed)))
+        return int(self.moving.sum()) / fast if fast else 1.0
+
+    @property
+    def too_quick(self) -> bool:
+        """Whether it reverses too often for its band."""
+        return self.steady < HUNTS
+
+    @cached_property
     def still(self) -> str:
         """What does not move in it, in words; empty where the piston does, and its force."""
         steady = int(self.moving.sum())
@@ -145,13 +157,12 @@ class Course:
                                  <= TRAVEL * self.sensors["x"])
         if rested:
             return NO_MOTION
-        fast = int(np.sum(self.good & (np.abs(self.v) >= STANDING * self.speed)))
-        if steady < HUNTS * fast:
-            turns = np.sum(self.v[1:] * self.v[:-1] < 0.0) / (len(self) * self.step)
+        if self.too_quick:
+            turns = np.sum(self.v[1:] * self.v[:-1] < 0.0) / (len(self) * self.dt)
             return (f"it reverses {turns:.2g} times a second (a drive that hunts?): too little "
-                    f"of its motion, {share(steady / fast, 2)}, goes steadily one way")
+                    f"of its motion, {share(self.steady, 2)}, goes steadily one way")
         if self.compared(self.moving).sum() < STEADY:
-            return f"it goes steadily one way for {steady * self.step:.2g} s only: too little"
+            return f"it goes steadily one way for {steady * self.dt:.2g} s only: too little"
         pressures = [one for one in (self.p1, self.p2) if one is not None]
         if pressures and not any(_changes(one[self.good]) for one in pressures):
             return "the pressures keep one value, to the last digit"

@@ -7,6 +7,7 @@ import numpy as np
 
 from eha_monitor.balances.course import (
     BAND,
+    BANDS,
     COMMANDED,
     GRID,
     MEASURED,
@@ -53,7 +54,24 @@ CHANNELS = ("x", "x_d", "omega", "omega_d", "p1", "p2", "force")
 GAUGE = 0.5  # of the ambient pressure: a reading below is no absolute pressure
 
 
-def course_of(recording: Recording, settings: Settings, band: float = BAND) -> Course:
+def course_of(recording: Recording, settings: Settings) -> Course:
+    """Return the measured motion of a recording, in the first band that it is not too quick for.
+
+    Raises
+    ------
+    InputError
+        As :func:`course_within`.
+    """
+    found = course_within(recording, settings, BAND)
+    for band in BANDS[1:]:
+        if not found.too_quick or recording.sample_time * band > SPARSE:
+            break
+        wider = course_within(recording, settings, band)
+        found = wider if wider.shows else found
+    return found
+
+
+def course_within(recording: Recording, settings: Settings, band: float) -> Course:
     """Return the measured motion of a recording, for balances up to ``band`` Hz.
 
     Raises

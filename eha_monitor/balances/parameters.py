@@ -24,8 +24,8 @@ from eha_monitor.balances.baseline import (
 )
 from eha_monitor.balances.bends import FALL
 from eha_monitor.balances.candidates import oil_pressed, swallowed
-from eha_monitor.balances.course import BAND, Course, slope
-from eha_monitor.balances.measured import course_of
+from eha_monitor.balances.course import BAND, BANDS, Course, slope
+from eha_monitor.balances.measured import course_within
 from eha_monitor.balances.table import areas_apart, flow_columns
 from eha_monitor.balances.together import of_one_machine, pooled
 from eha_monitor.errors import InputError
@@ -47,7 +47,6 @@ CLEAR = 5.0  # times the noise of a regressor: its noise then draws the paramete
 LEAST_S = 5.0  # of rows that a first look needs
 MOST = 200  # looks at one recording
 WIDE = 1.0  # of the top speed, over which friction may fall as well, beside ``SLOW``
-BANDS = BAND, 4.0 * BAND  # Hz: the next one where a motion is too quick for the one before
 HELD = 0.7  # of the force's rms: less within a band, and its balances say nothing of the motion
 
 
@@ -62,7 +61,7 @@ def parameters_of(recording: Recording, settings: Settings) -> dict[str, Paramet
     found: dict[str, ParameterEstimate] = {}
     for band in BANDS:
         try:
-            course = course_of(recording, settings, band)
+            course = course_within(recording, settings, band)
         except InputError:
             break
         if np.std(course.in_band(course.force)) < HELD * np.nanstd(force_of(

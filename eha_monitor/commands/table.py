@@ -317,7 +317,7 @@ def _fit(found: Diagnosis) -> Table:
     shown = table(*heads)
     for row in rows:
         shown.add_row(*map(escape, row))
-    how = "free run" if "position" in found.signals else "residual of each balance below 5 Hz"
+    how = "free run" if "position" in found.signals else "low-passed residual of each balance"
     shown.caption = f"root mean square, {how}; on {words.DATA.get(found.data, found.data)}"
     shown.caption_justify = "left"
     return shown
