@@ -23,6 +23,9 @@ BANDS = BAND, _ = 5.0, 20.0
 MOTION = 4.0  # bands: pass band of the motion
 GRID, COARSE = 32, 4  # points in a period of the band; each so-many-th of them is compared
 NO_MOTION = "nothing moves in it"
+FED = 0.05  # of the highest pressure over the source's: below, check valves may feed a chamber
+TOP = 0.98  # quantile of a pressure that counts as its highest
+MIXED = 0.5  # periods of the band over which its low-pass mixes a sample with its neighbours
 STEADY = 16  # compared samples that go steadily one way
 HUNTS = 0.1  # of the motion: less of it steady is a drive that hunts, and shows no friction
 STANDING = 0.02  # of the top speed: below it dry friction takes any value
@@ -249,8 +252,23 @@ class Course:
 
         Those of the force only at a steady direction: dry friction at rest is a reaction, which
         holds whatever the pressures make up to its limit, and of which no law of motion knows.
+        Of the flow not those where check valves feed both chambers: a load moves the piston then,
+        and the pump's flow goes round.
         """
-        return self.moving if balance == "force" else self.good
+        if balance == "force":
+            return self.moving
+        if balance == "flow" and self.oil in (HIGHER, ONE_PUMP):
+            return self.good & ~self.fed
+        return self.good
+
+    @cached_property
+    def fed(self) -> np.ndarray:
+        """Where both chambers are at the pressure of what feeds the emptier one, (m,) bool."""
+        high, low = np.maximum(self.p1, self.p2), np.minimum(self.p1, self.p2)
+        source = np.quantile(low[self.good], LOW)
+        both = high - source < FED * (np.quantile(high[self.good], TOP) - source)
+        near = max(1, round(MIXED / self.band / self.dt))
+        return np.convolve(both, np.ones(2 * near + 1), mode="same") > 0.5
 
     def track(self) -> np.ndarray:
         """Return the signals of the catalogue's terms, (m, N_SIGNALS)."""

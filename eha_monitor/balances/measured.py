@@ -11,6 +11,7 @@ from eha_monitor.balances.course import (
     COMMANDED,
     GRID,
     MEASURED,
+    MIXED,
     MOTION,
     STANDING,
     TRAVEL,
@@ -44,7 +45,6 @@ STEPS = 8  # of the effects' memory in a sample: a line is faster than the grid
 BRIDGED = 0.1  # of a period of the motion's band: a gap that a straight line bridges
 FADED = 0.01  # of the motion: what is left of a gap that may count
 JOINED = 5.0  # periods of the band that a step takes to fade to 1e-5 of itself behind its low-pass
-APART = 0.5  # periods of the band over which its low-pass mixes a sample with its neighbours
 SPARSE = 0.4  # samples in a period of the band, inverted: fewer do not hold it
 DEAD = 0.02  # s: a value that does not change for longer while others do ...
 JUMPED = 5.0  # ... times the usual largest step away from what comes before or after
@@ -113,7 +113,7 @@ def course_within(recording: Recording, settings: Settings, band: float) -> Cour
 
     every = max(1, round(1.0 / (GRID * band * dt)))
     cutoff = min(MOTION * band, 0.2 / dt)
-    reach = max(1, round(APART / band / dt))
+    reach = max(1, round(MIXED / band / dt))
     bad = np.convolve(missing | ~away, np.ones(2 * reach + 1), mode="same") > 0.5
     bad[:reach] = bad[-reach:] = True
 
@@ -138,7 +138,7 @@ def course_within(recording: Recording, settings: Settings, band: float) -> Cour
     top = np.quantile(np.abs(v[good]), 0.998)
     slow = np.abs(v) < STANDING * top
     slow[1:] |= v[1:] * v[:-1] <= 0.0  # a quick reversal may fall between two points
-    near = max(1, round(APART / band / step))
+    near = max(1, round(MIXED / band / step))
     moving = np.convolve(slow, np.ones(2 * near + 1), mode="same") < 0.5
     moving &= np.ptp(x[good]) > TRAVEL * noise["x"].value
     demand = whole.get("omega_d", whole.get("omega"))
