@@ -6,7 +6,7 @@ low-pass without phase, so that a linear law stays exactly that law whatever the
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 
 import numpy as np
@@ -77,6 +77,7 @@ class Course:
     viscosity : of the oil at the temperature that the recording measures, over that at the
         reference temperature (``viscosity`` of the config); NaN where no channel has it.
     effects : of the config, by name, SI; they are in ``known``.
+    wide : the same motion in a wider band; None where this is the widest that it has.
     """
 
     source: str
@@ -107,9 +108,20 @@ class Course:
     apart: float = 0.0
     viscosity: float = np.nan
     effects: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    wide: "Course | None" = None
 
     def __len__(self) -> int:
         return len(self.x)
+
+    @cached_property
+    def quick(self) -> "Course":
+        """The same motion in the widest band that it has, with the samples of this one."""
+        if self.wide is None:
+            return self
+        at = np.arange(len(self.wide)) * self.wide.dt / self.dt
+        here = self.good[np.minimum(at.astype(int), len(self) - 1)]
+        return replace(self.wide, oil=self.oil, apart=self.apart, good=self.wide.good & here,
+                       moving=self.wide.moving & here)
 
     @property
     def speed(self) -> float:

@@ -1,6 +1,7 @@
 """How the motion of a recording is measured: what of it can be compared, and at which rate."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import compress
 
 import numpy as np
@@ -62,13 +63,11 @@ def course_of(recording: Recording, settings: Settings) -> Course:
     InputError
         As :func:`course_within`.
     """
-    found = course_within(recording, settings, BAND)
-    for band in BANDS[1:]:
-        if not found.too_quick or recording.sample_time * band > SPARSE:
-            break
-        wider = course_within(recording, settings, band)
-        found = wider if wider.shows else found
-    return found
+    found, (_, band) = course_within(recording, settings, BAND), BANDS
+    if recording.sample_time * band > SPARSE or not (found.too_quick or found.has_flow):
+        return found
+    wide = course_within(recording, settings, band)
+    return wide if found.too_quick and wide.shows else replace(found, wide=wide)
 
 
 def course_within(recording: Recording, settings: Settings, band: float) -> Course:

@@ -59,23 +59,22 @@ def parameters_of(recording: Recording, settings: Settings) -> dict[str, Paramet
     settings : the config; its effects count as known.
     """
     found: dict[str, ParameterEstimate] = {}
+    whole = np.nanstd(force_of(settings.rig, sample_of(recording).channels))
+    course = None
     for band in BANDS:
         try:
             course = course_within(recording, settings, band)
         except InputError:
             break
-        if np.std(course.in_band(course.force)) < HELD * np.nanstd(force_of(
-                settings.rig, sample_of(recording).channels)):
+        if "B" in found or np.std(course.in_band(course.force)) < HELD * whole:
             continue
-        damping = _damping(course, settings) if "B" not in found else None
+        damping = _damping(course, settings)
         if damping is not None:
             found["B"] = ONE.judged(settings, damping.value, damping.stddev)
-        soft = compressibility(*of_one_machine([course], settings.rig), settings.rig
-                               ) if "beta_e" not in found else None
-        if soft is not None:
-            found["beta_e"] = TWO.judged(settings, 1.0 / soft.value, soft.stddev / soft.value**2)
-        if "B" in found:
-            break
+    soft = None if course is None else compressibility(
+        *of_one_machine([course], settings.rig), settings.rig)
+    if soft is not None:
+        found["beta_e"] = TWO.judged(settings, 1.0 / soft.value, soft.stddev / soft.value**2)
     return found
 
 
@@ -115,18 +114,21 @@ def _friction(settings: Settings) -> float:
 
 
 def compressibility(course: Course, rig: Rig) -> Term | None:
-    """Return 1/beta_e; its deviation holds how far channels that are late move it.
+    """Return 1/beta_e, of a band in which the oil's part differs from that of a late channel.
 
-    A position that is late by tau adds tau A x'' to the flow, which resembles the oil's part; so
-    does at one speed what a pump loses in either direction.  The volumes are the config's, or
-    change over the stroke as the areas say; and the position sensor has play or not: whichever
-    fits unseen parts best.
+    A speed that is late by tau adds tau D_p omega' to the flow, as smooth as the motion; the oil
+    takes up most where the force turns over, in some hundredths of a second.  Which channel is how
+    late nobody knows, so tau is fitted.  At one speed the oil's part resembles what a pump loses
+    in either direction.  The volumes are the config's, or change over the stroke as the areas say;
+    and the position sensor has play or not: whichever fits unseen parts best.
     """
+    course = course.quick
     columns = flow_columns(course, rig)
     if columns is None or not (rig.volume_1 and rig.volume_2) or "flow" not in course.known:
         return None
     flow, (pump, leakage, _) = columns
     leakage = (*leakage[:3], 0, leakage[4])  # beside the config's it may be less
+    late = ("tau", "m³", "lag of the pump's speed", 0, slope(pump[4], course.dt))
     stroke = course.added("stroke")
     flow = flow - course.added("flow")
     oil = course.of_filled(*oil_pressed(course, rig))
@@ -136,14 +138,13 @@ def compressibility(course: Course, rig: Rig) -> Term | None:
     play = ("b", "m", "play before the position sensor", 1, swallowed(course, rig, sharp=False))
     found: list[BalanceFit] = []
     for taken in ways:
-        if _own(course, taken, np.column_stack([pump[4], leakage[4]])) < CLEAR * (
+        if _own(course, taken, np.column_stack([pump[4], leakage[4], late[4]])) < CLEAR * (
                 rig.volume_1 * course.sensors["p"] * course.passed[1]):
             continue
         for more in ((), (play,)):
             fit = fitted(course, course.counted("flow"), flow, (
-                pump, leakage, ("1/beta_e", "1/Pa", "compressibility", 1, -taken), *more),
-                (course.a, course.direction, np.ones(len(course))),
-                (course.skew * rig.area_1 * course.a,), areas_apart(course, rig))
+                pump, leakage, ("1/beta_e", "1/Pa", "compressibility", 1, -taken), late, *more),
+                (course.direction, np.ones(len(course))), off=areas_apart(course, rig))
             if fit is not None and fit["1/beta_e"].determined and (
                     not more or fit["b"].determined):
                 found.append(fit)
