@@ -115,7 +115,8 @@ def answered(recordings: Sequence[Recording], settings: Settings, asked: Asked =
                   for balance in balances_in(courses, rig)]
     shown = list(courses)
     if asked.held_out is not None:
-        shown = [replace(course_of(asked.held_out, settings), oil=courses[0].oil)]
+        shown = [replace(course_of(asked.held_out, settings, courses[0].band),
+                         oil=courses[0].oil)]
         there = balances_in(shown, rig)
         models = [on_held_out(one, shown[0], rig, policy) for one in models
                   if one.balance in there]

@@ -53,7 +53,7 @@ def against(machine: Machine, recordings: Sequence[Recording], settings: Setting
     """
     started, settings = time.perf_counter(), machine.as_made(settings)
     rig = settings.rig
-    recordings, courses, left_out = courses_of(recordings, settings)
+    recordings, courses, left_out = courses_of(recordings, settings, machine.band)
     if not any(course.shows for course in courses):
         return replace(still(recordings, courses, (), started), references=references)
     courses, outside = within_stroke(machine, courses)

@@ -24,7 +24,7 @@ from eha_monitor.balances.candidates import (
     sum_of_pressures,
 )
 from eha_monitor.balances.contact import contacts_of
-from eha_monitor.balances.course import Course
+from eha_monitor.balances.course import BAND, Course
 from eha_monitor.balances.discrepancy import Regime, learned, regimes, signals_of
 from eha_monitor.balances.least_squares import rms
 from eha_monitor.balances.parameters import UNKNOWN, Stiffness, stiffness_of
@@ -199,6 +199,7 @@ class Machine:
         not all of them measure its temperature.
     lowest : absolute pressure of either chamber in each recording, (2, r) Pa
         (:meth:`Course.lowest`); empty of a chamber where not all say it, and in older files.
+    band : Hz, of its balances.
     effects, numbers : of the config and its rig that the balances were made with, SI; None in
         older files.
     """
@@ -221,6 +222,7 @@ class Machine:
     lowest: tuple[tuple[float, ...], tuple[float, ...]] = ((), ())
     effects: dict[str, dict[str, float | str | list[float]]] | None = None
     numbers: dict[str, float] | None = None
+    band: float = BAND
 
     def as_made(self, settings: Settings) -> Settings:
         """Return a config with the numbers and effects that the machine's balances were made with.
@@ -277,7 +279,7 @@ class Machine:
             "stiffness": self.stiffness, "areas": self.areas, "mass": self.mass,
             "displacement": self.displacement, "scale": self.scale,
             "oil": self.oil, "apart": self.apart, "viscosity": self.viscosity,
-            "lowest": self.lowest,
+            "lowest": self.lowest, "band": self.band,
             "effects": self.effects, "numbers": self.numbers,
             "policy": self.policy, "balances": self.balances})
 
@@ -367,7 +369,7 @@ def machine_from(courses: Sequence[Course], rig: Rig, vary: Sequence[str], witho
                    viscosity if np.isfinite(viscosity).all() else (),
                    lowest, {name: dict(one) for name, one in courses[0].effects.items()},
                    {name: value for name in NUMBERS
-                    if (value := getattr(rig, name)) is not None})
+                    if (value := getattr(rig, name)) is not None}, courses[0].band)
 
 
 def pressure_varied(courses: Sequence[Course], policy: Policy) -> bool:

@@ -55,18 +55,23 @@ CHANNELS = ("x", "x_d", "omega", "omega_d", "p1", "p2", "force")
 GAUGE = 0.5  # of the ambient pressure: a reading below is no absolute pressure
 
 
-def course_of(recording: Recording, settings: Settings) -> Course:
+def course_of(recording: Recording, settings: Settings, band: float = BAND) -> Course:
     """Return the measured motion of a recording, in the first band that it is not too quick for.
+
+    Parameters
+    ----------
+    band : Hz, that it is in at least, where the channels hold that.
 
     Raises
     ------
     InputError
         As :func:`course_within`.
     """
-    found, (_, band) = course_within(recording, settings, BAND), BANDS
-    if recording.sample_time * band > SPARSE or not (found.too_quick or found.has_flow):
+    widest = max(one for one in BANDS if one == BAND or recording.sample_time * one <= SPARSE)
+    found = course_within(recording, settings, min(band, widest))
+    if found.band == widest or not (found.too_quick or found.has_flow):
         return found
-    wide = course_within(recording, settings, band)
+    wide = course_within(recording, settings, widest)
     return wide if found.too_quick and wide.shows else replace(found, wide=wide)
 
 
@@ -182,11 +187,16 @@ def _gaps(missing: np.ndarray, short: int, period: float = 0.0) -> np.ndarray:
     return found
 
 
-def courses_of(recordings: Sequence[Recording], settings: Settings
+def courses_of(recordings: Sequence[Recording], settings: Settings, band: float = BAND
                ) -> tuple[list[Recording], list[Course], tuple[str, ...]]:
     """Return the recordings that hold a motion, their motions, and why others are left out.
 
-    All are kept where nothing moves in any.
+    All are kept where nothing moves in any.  They are of one band, that of the quickest: a late
+    channel is a mass in one band and none in another.
+
+    Parameters
+    ----------
+    band : Hz, that they are in at least.
 
     Raises
     ------
@@ -196,7 +206,7 @@ def courses_of(recordings: Sequence[Recording], settings: Settings
     kept, courses, problems = [], [], []
     for recording in recordings:
         try:
-            courses.append(course_of(recording, settings))
+            courses.append(course_of(recording, settings, band))
             kept.append(recording)
         except InputError as problem:
             problems.append(problem)
@@ -208,6 +218,9 @@ def courses_of(recordings: Sequence[Recording], settings: Settings
         lines += [f"left out: {course.source}: {course.still}" for course in courses
                   if course.still]
         kept, courses = list(compress(kept, moves)), list(compress(courses, moves))
+    widest = max(course.band for course in courses)
+    courses = [course if course.band == widest else course_of(recording, settings, widest)
+               for recording, course in zip(kept, courses, strict=True)]
     return kept, courses, tuple(lines)
 
 

@@ -207,7 +207,7 @@ def _corrected(fault: Fault, machine: Machine, recordings: Sequence[Recording],
     def without(value: float) -> Reading:
         right = [replace(one, channels=one.channels | {channel: fault.corrected(
             one.channels[channel], value, one.sample_time)}) for one in recordings]
-        courses, _ = within_stroke(machine, courses_of(right, settings)[1])
+        courses, _ = within_stroke(machine, courses_of(right, settings, machine.band)[1])
         return replace(_reading(machine, courses, settings), fault=fault, symptom=symptom,
                        error=(value, float(np.hypot(symptom.apart * slope, value - first))))
 
