@@ -128,7 +128,11 @@ def message_of(verdict: str, changes: Sequence[Change], judged: Judged, runs: st
     said += [f"what has come is {one.curve.term.sentence}"
              for one in judged.balances if one.curve is not None]
     said += [f"the nearest, which does not explain it, is that {one}" for one in nearest]
-    return "what has changed is not one of the numbers that the machine has" + (
+    same = [one.balance for one in judged.balances if one not in judged.loud
+            and one.complete and not one.changed]
+    stands = (f"the {listed(same)} {'is' if len(same) == 1 else 'are'} as in {runs}; "
+              if judged.loud and same else "")
+    return f"{stands}what has changed is not one of the numbers that the machine has" + (
         f"; {'; '.join(said)}" if said else "")
 
 

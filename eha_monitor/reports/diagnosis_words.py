@@ -155,7 +155,10 @@ def next_steps(found: Diagnosis, bags: str) -> tuple[str, ...]:
         steps.append(f"use {listed(known) or 'the numbers'} of the completed config: "
                      f"`eha-monitor diagnose {bags} --write-config FILE`")
     elif found.verdict == "unexplained" and not completed:
-        steps.append("do not act on B and βe: what is missing is in them")
+        # The force and the flow are measured beside the drive, whatever moves it.
+        alone = found.references and found.location.balance.get("drive", 0.0) == 1.0
+        steps.append("B and βe stand: only the drive is another" if alone else
+                     "do not act on B and βe: what is missing is in them")
     if nameless(found):
         steps += _look_yourself(found, bags)
     steps += advice_in_parts(found)[0]
