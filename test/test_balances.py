@@ -29,7 +29,7 @@ from eha_monitor.balances.changed import against
 from eha_monitor.balances.course import BOTH, IN_TURN, oil_of
 from eha_monitor.balances.least_squares import unexcluded
 from eha_monitor.balances.machine import machine_from
-from eha_monitor.balances.measured import course_of
+from eha_monitor.balances.measured import course_of, course_within
 from eha_monitor.balances.parameters import compressibility
 from eha_monitor.balances.policy import POLICY
 from eha_monitor.balances.scatter import amplitudes_of
@@ -399,7 +399,7 @@ def test_a_fall_with_speed_that_no_speed_shows_is_in_the_deviations(settings):
 def test_behind_check_valves_the_filled_chamber_is_compressed(play):
     """Equal areas, the lower pressure held at the source's: known motion, flow by its equation.
 
-    With play the sensor is dragged: what it misses at each reversal is no soft oil.
+    With play the sensor is dragged: what it misses at each reversal may be no soft oil.
     """
     area, volume, beta, pump = 1.3e-3, 2.2e-4, 1.1e9, 1e-6
     config = settings_from_tree({"rig": {
@@ -423,8 +423,9 @@ def test_behind_check_valves_the_filled_chamber_is_compressed(play):
                                  for name, values in (("x", shown), ("omega", omega), ("p1", p1),
                                                       ("p2", p2))})
     found = compressibility(course_of(recording, config), config.rig)
-    assert found.value == pytest.approx(1.0 / beta, rel=0.1)
+    assert play or found.value == pytest.approx(1.0 / beta, rel=0.1)
     assert abs(found.value - 1.0 / beta) < 2.0 * found.stddev
+    assert not play or not POLICY.sure(found.value, found.stddev)
 
 
 @pytest.mark.parametrize("filled", [1, 2])
@@ -603,11 +604,30 @@ def test_a_balance_that_leaves_three_per_cent_is_no_close_agreement():
     assert not agrees_closely(replace(left[0.019], verdict="mismatch"))
 
 
+def test_a_motion_that_is_too_quick_for_one_band_is_balanced_in_the_next():
+    """Two sines of 2.9 and 5.3 Hz with M, B and dry friction by their equation."""
+    area, t = 1.3e-3, np.arange(0.0, 12.0, 1e-3)
+    x = 8e-3 * np.sin(2.0 * np.pi * 2.9 * t) + 5e-3 * np.sin(2.0 * np.pi * 5.3 * t + 1.0)
+    v = np.gradient(x, t)
+    force = 20.0 * np.gradient(v, t) + 900.0 * v + 120.0 * np.tanh(v / 1e-3)
+    config = settings_from_tree({"rig": {"area_1": area, "area_2": area, "mass": 20.0}}, "a test")
+    rng = np.random.default_rng(4)
+    recording = Recording(1e-3, {
+        "x": x + 2e-6 * rng.standard_normal(len(t)),
+        **{name: 3e6 + side * 0.5 * force / area + 2e3 * rng.standard_normal(len(t))
+           for name, side in (("p1", 1.0), ("p2", -1.0))}})
+    assert "reverses 11 times a second" in course_within(recording, config, 5.0).still
+    assert course_of(recording, config).band == 20.0
+    fit = baseline(recording, config).force
+    for name, true in (("B", 900.0), ("F_c", 120.0), ("M", 20.0)):
+        assert abs(fit[name].value - true) < 2.0 * fit[name].stddev < 0.3 * true
+
+
 def test_a_drive_that_hunts_shows_no_friction(settings):
-    """A limit cycle of 7 Hz under slow strokes: 7 % of it told a spring of 36 kN/m at 95 %."""
+    """A limit cycle of 25 Hz under slow strokes, beyond every band: no law, and no spring."""
     one = stranger(0, **CALM)
     t = np.arange(len(one)) * one.sample_time
-    cycle = 4e-3 * np.sin(2.0 * np.pi * 7.0 * t)
+    cycle = 4e-3 * np.sin(2.0 * np.pi * 25.0 * t)
     hunting = replace(one, channels={**one.channels, "x": 0.2 * one.channels["x"] + cycle})
     found = answered([hunting], settings)
     assert found.verdict == "insufficient_data" and "a drive that hunts?" in found.message
