@@ -361,6 +361,11 @@ def force_candidates(scale: Scale, rig: Rig) -> tuple[Candidate, ...]:
     return tuple(found)
 
 
+def fall_speeds(course: Course, rig: Rig) -> np.ndarray:
+    """Return the speeds over which dry friction may fall, (6,) m/s or rad/s."""
+    return np.array(FALLS) if rig.motion == "linear" else course.speed * np.array(SHARES)
+
+
 def falls_of(course: Course, rig: Rig, balance: str) -> tuple[np.ndarray, np.ndarray]:
     """Return friction of 1 N at rest that falls over each of ``FALLS``, in the band, (m, 12) N.
 
@@ -370,8 +375,7 @@ def falls_of(course: Course, rig: Rig, balance: str) -> tuple[np.ndarray, np.nda
     if balance != "force":
         none = np.empty((len(course.compared(course.v)), 0))
         return none, none
-    falls = np.array(FALLS) if rig.motion == "linear" else course.speed * np.array(SHARES)
-    shares = course.v[:, None] / np.maximum(falls, 1e-300)
+    shares = course.v[:, None] / np.maximum(fall_speeds(course, rig), 1e-300)
     falling = course.direction[:, None] * np.exp(-np.hstack([np.abs(shares), shares**2]))
     return course.in_band(falling), course.in_band(np.tanh(shares[:, :1]))
 

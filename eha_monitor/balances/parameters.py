@@ -15,14 +15,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from eha_monitor.balances.baseline import (
-    SLOW,
     Term,
     falling,
     fitted,
     force_fit,
 )
 from eha_monitor.balances.bends import FALL
-from eha_monitor.balances.candidates import oil_pressed, swallowed
+from eha_monitor.balances.candidates import fall_speeds, oil_pressed, swallowed
 from eha_monitor.balances.course import BAND, BANDS, Course, slope
 from eha_monitor.balances.measured import course_within
 from eha_monitor.balances.table import areas_apart, flow_columns
@@ -45,7 +44,6 @@ from eha_monitor.settings.rig import Rig
 CLEAR = 5.0  # times the noise of a regressor: its noise then draws the parameter by 4 % at most
 LEAST_S = 5.0  # of rows that a first look needs
 MOST = 200  # looks at one recording
-WIDE = 1.0  # of the top speed, over which friction may fall as well, beside ``SLOW``
 # Of what is left of the flow, that may look like the oil's part.  Measured: 0.04 to 0.19, 0.11 on
 # average, in 36 recordings of ten simulated rigs, four of these by a stranger's equations.
 ALIKE = 0.11
@@ -102,7 +100,8 @@ def _damping(course: Course, settings: Settings) -> Term | None:
     late = slope(course.force, course.dt) if course.band > BAND else None
     free = force_fit(course, rig, known)
     dry = _friction(settings) + (0.0 if free is None else free["F_c"].value)
-    falls = [FALL * dry * falling(course, slow) for slow in (*SLOW, WIDE)]
+    falls = [FALL * dry * falling(course, speed / max(course.speed, 1e-300))
+             for speed in fall_speeds(course, rig)]
     ways = [fit["B"] for held in (True, False)
             if (fit := force_fit(course, rig, known, held, late, falls)) is not None]
     ways = [term for term in ways if term.determined]
