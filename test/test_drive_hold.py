@@ -142,7 +142,8 @@ def test_behind_a_lag_the_pressures_have_no_corners(known):
     assert b.status == "converged" and "B" not in found.model.tainted
     assert abs(b.value - SLOW.damping) < 3.0 * b.stddev
     if known:
-        assert found.parameters["beta_e"].value == pytest.approx(SLOW.bulk_modulus, rel=0.01)
+        oil = found.parameters["beta_e"]
+        assert abs(oil.value - SLOW.bulk_modulus) < 2.0 * oil.stddev < 0.1 * oil.value
     assert [one.kind for one in found.channels] == ["hold"]
 
 

@@ -33,6 +33,7 @@ from eha_monitor.balances.named import (
     config_effects,
     effects_of,
     error_of_area,
+    gainless,
     made_by,
     numbers_within,
     within_tolerance,
@@ -195,7 +196,8 @@ def _composed(models: Sequence[Model], courses: Sequence[Course], settings: Sett
     effects.sort(key=lambda effect: -effect.log_evidence)
     open_ = [one for one in models if is_open(one, policy) and one.balance not in varying]
     # Each balance is measured by channels of its own: one that stays open hides no worn pump.
-    nameless = {one.balance for one in open_}
+    nameless = {one.balance for one in (
+        *open_, *(one for one in models if gainless(one, policy)))}
     effects = [effect for effect in effects if effect.balance not in nameless]
     wrong, within = (tuple(one for one in some if SIDE_OF[one.key] not in nameless)
                      for some in (wrong, within))

@@ -269,6 +269,16 @@ def _configured(term: Term, rig: Rig) -> tuple[str, float, Value] | None:
     return key, configured, Value(value, float(np.hypot(slope * term.stddev, area)), unit)
 
 
+def gainless(model: Model, policy: Policy) -> bool:
+    """Tell whether a model of the drive has no sure gain, which every drive has.
+
+    Its other terms then share it: behind an integral part of the controller, which the catalogue
+    does not have, a feed-forward and a lag of 108 ms for 5 had done the work of the gain.
+    """
+    return any(term.candidate.name == "k_d" and np.isfinite(term.stddev)
+               and not policy.sure(1.0 + term.value, term.stddev) for term in model.terms)
+
+
 def within_tolerance(term: Term, rig: Rig, policy: Policy) -> bool:
     """Tell whether a number of the config may be what a term says of it, by its tolerance."""
     found = _configured(term, rig)
