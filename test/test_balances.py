@@ -30,9 +30,10 @@ from eha_monitor.balances.course import BOTH, IN_TURN, oil_of
 from eha_monitor.balances.least_squares import unexcluded
 from eha_monitor.balances.machine import machine_from
 from eha_monitor.balances.measured import course_of, course_within
-from eha_monitor.balances.parameters import compressibility
+from eha_monitor.balances.oil import compressibility
 from eha_monitor.balances.policy import POLICY
 from eha_monitor.balances.scatter import amplitudes_of
+from eha_monitor.balances.softened import softened
 from eha_monitor.balances.table import pooled_table, tables_of
 from eha_monitor.balances.together import of_one_machine
 from eha_monitor.concealed.cases import Case
@@ -687,3 +688,33 @@ def test_a_long_recording_is_sampled_without_the_steps_between_its_stretches(
     for name in ("F_c", "F_0"):
         all_, some = (one.baselines[0].force[name].value for one in (whole, part))
         assert some == pytest.approx(all_, rel=0.03)
+
+
+def test_what_softer_oil_takes_up_is_seen_against_the_rate_of_the_pressure():
+    """Flow by its equation, of an oil half as stiff as the healthy one, and a speed 2 ms late."""
+    area, volume, pump, soft = 1.3e-3, 2.2e-4, 1e-6, 1.0 / 5e8
+    config = settings_from_tree({"rig": {
+        "area_1": area, "area_2": area, "volume_1": volume, "volume_2": volume, "mass": 100.0,
+        "pump_displacement": pump, "position_gain": None, "leakage": 0.0,
+        "makeup_conductance": 0.0, "charge_pressure": 1.3e6}}, "a test")
+    rng, t = np.random.default_rng(2), np.arange(0.0, 20.0, 1e-3)
+    x = 2e-2 * np.sin(2.0 * np.pi * 0.3 * t) + 4e-3 * np.sin(2.0 * np.pi * 1.1 * t + 1.0)
+    v = np.gradient(x, t)
+    force = 100.0 * np.gradient(v, t) + 3500.0 * v + 200.0 * np.tanh(v / 1e-3)
+    head = np.abs(force) / area
+    p1, p2 = (1.3e6 + np.where(way * force > 0.0, head, 0.0) for way in (1.0, -1.0))
+    flow = area * v + np.sign(force) * volume * soft * np.gradient(head, t)
+    noise = {"x": 1e-6, "omega": 1e-2, "p1": 500.0, "p2": 500.0}
+    recording = Recording(1e-3, {name: values + noise[name] * rng.standard_normal(len(t))
+                                 for name, values in (
+                                     ("x", x), ("omega", np.interp(t - 2e-3, t, flow) / pump),
+                                     ("p1", p1), ("p2", p2))})
+    courses = [course_of(recording, config)]
+    term = compressibility(courses[0], config.rig)
+    assert abs(term.value - soft) < 2.0 * term.stddev < 0.2 * soft
+    curve, fit = softened(courses, config.rig, 0.5 * soft, term.value)
+    assert fit.after_rms < 0.3 * fit.before_rms
+    slope = np.polyfit(curve.x, curve.measured, 1)[0]
+    assert slope == pytest.approx(-0.5 * soft * volume, rel=0.1)
+    assert np.allclose(curve.modelled, (0.5 * soft - term.value) * volume * curve.x, rtol=0.05,
+                       atol=0.02 * np.abs(curve.modelled).max())

@@ -39,7 +39,7 @@ from eha_monitor.balances.named import (
     within_tolerance,
     wrong_numbers,
 )
-from eha_monitor.balances.parameters import Stiffness, stiffness_of
+from eha_monitor.balances.oil import Stiffness, stiffness_of
 from eha_monitor.balances.policy import POLICY, Policy
 from eha_monitor.balances.together import of_one_machine
 from eha_monitor.errors import InputError

@@ -8,7 +8,7 @@ from eha_monitor.balances.advice import least_change
 from eha_monitor.balances.course import Course
 from eha_monitor.balances.judged import Judged, JudgedBalance, Moved
 from eha_monitor.balances.machine import Machine
-from eha_monitor.balances.parameters import Stiffness
+from eha_monitor.balances.oil import Stiffness
 from eha_monitor.balances.policy import POLICY
 from eha_monitor.mismatch.diagnosis import (
     Change,

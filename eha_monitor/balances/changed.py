@@ -15,10 +15,11 @@ from eha_monitor.balances.machine import LEAST, Machine, of_another
 from eha_monitor.balances.measured import courses_of
 from eha_monitor.balances.model import LOAD, Model, Term, of_judged
 from eha_monitor.balances.named import size_of
-from eha_monitor.balances.parameters import Stiffness, stiffness_of
+from eha_monitor.balances.oil import Stiffness, stiffness_of
 from eha_monitor.balances.policy import POLICY
 from eha_monitor.balances.scatter import limit_of
 from eha_monitor.balances.sensor_error import without_sensor_error
+from eha_monitor.balances.softened import softened
 from eha_monitor.balances.source import source_of
 from eha_monitor.balances.warmth import at_oil, viscosity_of
 from eha_monitor.errors import InputError
@@ -112,6 +113,14 @@ def against(machine: Machine, recordings: Sequence[Recording], settings: Setting
         moved, changes, strict=False) if change.symbol)
     where, curves = place_of(models, courses, changes, (), verdict,
                              {one.balance: one.usual for one in judged.balances})
+    signals = {one.balance: SignalFit(
+        SIDES[one.balance], one.nominal_error * one.size, one.error * one.size, one.floor,
+        signal_rms=one.size) for one in models}
+    if oil is not None and {one.what for one in changes if one.balance == "flow"} == {"beta_e"}:
+        shown = softened(courses, rig, machine.stiffness.value, stiffness.value)
+        if shown is not None:  # it shows in a wider band than what else may change
+            curve, signals["flow"] = shown
+            curves = (curve, *(one for one in curves if one.balance != "flow"))
     if changes:
         where = Location(shares_of(changes, where.balance), where.regime, where.intervals_s)
     return Diagnosis(
@@ -127,9 +136,7 @@ def against(machine: Machine, recordings: Sequence[Recording], settings: Setting
         where, effects,
         _health(machine, judged, stiffness, viscosity, before=True),
         _health(machine, judged, stiffness, viscosity, before=False),
-        "held_out", {one.balance: SignalFit(
-            SIDES[one.balance], one.nominal_error * one.size, one.error * one.size, one.floor,
-            signal_rms=one.size) for one in models}, curves,
+        "held_out", signals, curves,
         () if verdict == "consistent" else tuple(
             o for one in models if (o := overlay_of(one)) is not None),
         advice=advice_beside(machine, courses, references, verdict, outside, any(

@@ -27,7 +27,7 @@ from eha_monitor.balances.contact import contacts_of
 from eha_monitor.balances.course import BAND, Course
 from eha_monitor.balances.discrepancy import Regime, learned, regimes, signals_of
 from eha_monitor.balances.least_squares import rms
-from eha_monitor.balances.parameters import UNKNOWN, Stiffness, stiffness_of
+from eha_monitor.balances.oil import UNKNOWN, Stiffness, stiffness_of
 from eha_monitor.balances.policy import POLICY, Policy
 from eha_monitor.balances.scatter import Scatter, scatter_of
 from eha_monitor.balances.table import Table, nominal_of, tables_of

@@ -206,8 +206,8 @@ def _sentences(proposals, told, seconds, given) -> list[str]:
         elif one.more:
             wide = listed([limit.key for limit in one.limits if limit.wide])
             said.append(f"{name}: no {wide}, which would be more than a factor of {WIDE:g} from "
-                        f"the mean and watch nothing; {one.more} recordings with this spread "
-                        "would be enough for every limit")
+                        f"the mean and watch nothing: {n} of {given} recordings determine it, "
+                        f"{one.more} that do, with this spread, would be enough for every limit")
         elif n < FEW:
             few = f"{n} recordings are few for reliable limits"
             said.append(f"{name}: {few}; {given - n} of the {given} were left out (above)"

@@ -1,0 +1,138 @@
+"""How stiff the oil is, by least squares on the flow, and what another stiffness makes of it.
+
+    A x' - known = D_p (omega - tau omega') - V(x) p' / beta_e - C_L (p1 - p2)
+
+of a band in which the oil's part differs from that of a late channel.  A speed that is late by tau
+adds a flow as smooth as the motion; the oil takes up most where the force turns over, in some
+hundredths of a second.  Which channel is how late nobody knows, so tau is fitted.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from eha_monitor.balances.baseline import BalanceFit, Term, fitted
+from eha_monitor.balances.candidates import oil_pressed, swallowed
+from eha_monitor.balances.course import Course, slope
+from eha_monitor.balances.table import areas_apart, flow_columns
+from eha_monitor.balances.together import pooled
+from eha_monitor.settings.rig import Rig
+
+CLEAR = 5.0  # times the noise of a regressor: its noise then draws the parameter by 4 % at most
+# Of what is left of the flow, that may look like the oil's part.  Measured: 0.04 to 0.19, 0.11 on
+# average, in 36 recordings of ten simulated rigs, four of these by a stranger's equations.
+ALIKE = 0.11
+
+
+class Flow(NamedTuple):
+    """The flow balance in the widest band of a course.
+
+    flow : (m,) what the piston takes beyond the config's effects, m³/s.
+    columns : pump, leakage and lag as :func:`baseline.fitted` takes them.
+    pressed : (m,) V(x) p' of the oil that the pump presses, m³·Pa/s, by the config's volumes, or
+        by volumes that change over the stroke as the areas say.
+    """
+
+    course: Course
+    flow: np.ndarray
+    columns: tuple
+    pressed: list[np.ndarray]
+
+    def left(self, rig: Rig, pressed: np.ndarray, stiffness: float) -> BalanceFit | None:
+        """Return the fit of the other columns beside an oil of 1/beta_e, 1/Pa."""
+        return fitted(self.course, self.course.counted("flow"), self.flow + stiffness * pressed,
+                      self.columns, off=areas_apart(self.course, rig))
+
+    def rows(self, *columns: np.ndarray) -> np.ndarray:
+        """Return columns (m,) in the band, at the samples that count."""
+        return self.course.in_band(np.column_stack(columns))[
+            self.course.compared(self.course.counted("flow"))]
+
+
+def flow_of(course: Course, rig: Rig) -> Flow | None:
+    """Return the flow balance of a course; None without its channels or volumes."""
+    course = course.quick
+    columns = flow_columns(course, rig)
+    if columns is None or not (rig.volume_1 and rig.volume_2) or "flow" not in course.known:
+        return None
+    flow, (pump, leakage, _) = columns
+    leakage = (*leakage[:3], 0, leakage[4])  # beside the config's it may be less
+    late = ("tau", "m³", "lag of the pump's speed", 0, slope(pump[4], course.dt))
+    pressed = [course.of_filled(*oil_pressed(course, rig))]
+    if not np.any(course.added("stroke")):
+        pressed.append(pressed[0] + rig.area_1 * course.x * course.of_filled(
+            course.rate_1, course.rate_2))
+    return Flow(course, flow - course.added("flow"), (pump, leakage, late), pressed)
+
+
+def compressibility(course: Course, rig: Rig) -> Term | None:
+    """Return 1/beta_e; None where the motion does not determine it.
+
+    The deviation holds how far it goes beside what a pump loses in either direction, which
+    resembles the oil's part at one speed, and beside a play of the position sensor, which misses
+    as much where the motion reverses; and that ``ALIKE`` of what is left may look like the oil's
+    part, with the rms that this has of its own.
+    """
+    balance = flow_of(course, rig)
+    if balance is None:
+        return None
+    course, flow, columns, ways = balance
+    bent = (course.direction, np.ones(len(course)), swallowed(course, rig, sharp=False))
+    found: list[tuple[float, Term]] = []
+    whole = float(np.std(balance.rows(flow)))
+    for pressed in ways:
+        own = _own(balance.rows(pressed, *(column[-1] for column in columns)))
+        if own < CLEAR * rig.volume_1 * course.sensors["p"] * course.passed[1]:
+            continue
+        fit = fitted(course, course.counted("flow"), flow, (
+            *columns, ("1/beta_e", "1/Pa", "compressibility", 1, -pressed)), bent,
+            off=areas_apart(course, rig))
+        if fit is not None and fit["1/beta_e"].determined:
+            term = fit["1/beta_e"]
+            found.append((fit.error_share, replace(term, stddev=float(np.hypot(
+                term.stddev, ALIKE * fit.error_share * whole / own)))))
+    return min(found, key=lambda one: one[0], default=(0.0, None))[1]
+
+
+def _own(rows: np.ndarray) -> float:
+    """Return the rms of what no other column makes of the first."""
+    shares = np.linalg.lstsq(rows[:, 1:], rows[:, 0], rcond=None)[0]
+    return float(np.sqrt(np.mean((rows[:, 0] - rows[:, 1:] @ shares) ** 2)))
+
+
+@dataclass(frozen=True)
+class Stiffness:
+    """1/beta_e of recordings: mean, spread between them and deviation of the mean, 1/Pa.
+
+    ``count`` : recordings that determine it.
+    """
+
+    value: float
+    between: float
+    stddev: float
+    count: int = 0
+
+    @property
+    def modulus(self) -> tuple[float, float]:
+        """The effective bulk modulus and how far it is off or differs from recording to recording.
+
+        Both infinite where nothing determines it.
+        """
+        if not self.value > 0.0:
+            return np.inf, np.inf
+        return 1.0 / self.value, float(np.hypot(self.between, self.stddev)) / self.value**2
+
+
+UNKNOWN = Stiffness(0.0, 0.0, np.inf)
+
+
+def stiffness_of(courses: Sequence[Course], rig: Rig) -> Stiffness:
+    """Return what recordings say together of the oil; an infinite deviation where none does."""
+    each = [term for course in courses if (term := compressibility(course, rig)) is not None]
+    if not each:
+        return UNKNOWN
+    values, stddevs = (np.array([getattr(term, key) for term in each])
+                       for key in ("value", "stddev"))
+    return Stiffness(*pooled(values, stddevs, float(values[0])), len(each))
