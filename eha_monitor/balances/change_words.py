@@ -156,12 +156,11 @@ def _or_a_sensor(change: Change) -> str:
 
 
 def advice_beside(machine: Machine, courses: Sequence[Course], references: tuple[str, ...],
-            verdict: str, outside: float, learned: bool) -> tuple[str, ...]:
+            verdict: str, outside: float) -> tuple[str, ...]:
     """Return what to know of the references, and what to do next.
 
     Parameters
     ----------
-    learned : what came is known as a curve.
     outside : share of the motion beyond the references' stroke.
     """
     found = []
@@ -181,8 +180,6 @@ def advice_beside(machine: Machine, courses: Sequence[Course], references: tuple
     if max(course.speed for course in courses) > FASTER * known:
         found.append("it moves faster than the references; above their speed nothing can be "
                      "compared")
-    if verdict == "unexplained" and not learned:
-        found.append("diagnose it by itself: that shows the shape of the unknown effect")
     if verdict == "consistent" and (shows := least_change(machine)):
         found.append(shows)
     return tuple(found)

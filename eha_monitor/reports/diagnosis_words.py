@@ -112,7 +112,8 @@ def advice_in_parts(found: Diagnosis) -> tuple[tuple[str, ...], tuple[str, ...]]
 
     How well parameters are separated is no advice where the model lacks what nobody knows.
     """
-    statistics = tuple(text for text in found.advice if nameless(found) or _STATISTICS in text)
+    vain = nameless(found) and not found.references  # what the references are stands all the same
+    statistics = tuple(text for text in found.advice if vain or _STATISTICS in text)
     return tuple(text for text in found.advice if text not in statistics), statistics
 
 
