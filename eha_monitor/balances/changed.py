@@ -139,7 +139,8 @@ def against(machine: Machine, recordings: Sequence[Recording], settings: Setting
         "held_out", signals, curves,
         () if verdict == "consistent" else tuple(
             o for one in models if (o := overlay_of(one)) is not None),
-        advice=advice_beside(machine, courses, references, verdict, outside), health=(*left_out, *apart),
+        advice=advice_beside(machine, courses, references, verdict, outside),
+        health=(*left_out, *apart),
         learned=tuple(one.curve.term for one in judged.balances if one.curve is not None),
         changes=changes, references=references, blind=tuple(blind),
         probability={"consistent": np.nan, "unexplained": np.nan},
