@@ -4,7 +4,8 @@
 
 of a band in which the oil's part differs from that of a late channel.  A speed that is late by tau
 adds a flow as smooth as the motion; the oil takes up most where the force turns over, in some
-hundredths of a second.  Which channel is how late nobody knows, so tau is fitted.
+hundredths of a second.  Which channel is how late nobody knows, so tau is fitted, within some
+samples: without dry friction the force goes with the speed, and nothing else tells the two apart.
 """
 
 from collections.abc import Sequence
@@ -27,10 +28,11 @@ ALIKE = 0.11
 
 
 class Flow(NamedTuple):
-    """The flow balance in the widest band of a course.
+    """The flow balance in the band of a course.
 
     flow : (m,) what the piston takes beyond the config's effects, m³/s.
-    columns : pump, leakage and lag as :func:`baseline.fitted` takes them.
+    columns : pump and leakage as :func:`baseline.fitted` takes them.
+    off : what may be off, each by one prior deviation: a lag, and the areas.
     pressed : (m,) V(x) p' of the oil that the pump presses, m³·Pa/s, by the config's volumes, or
         by volumes that change over the stroke as the areas say.
     """
@@ -38,12 +40,13 @@ class Flow(NamedTuple):
     course: Course
     flow: np.ndarray
     columns: tuple
+    off: tuple[np.ndarray, ...]
     pressed: list[np.ndarray]
 
-    def left(self, rig: Rig, pressed: np.ndarray, stiffness: float) -> BalanceFit | None:
+    def left(self, pressed: np.ndarray, stiffness: float) -> BalanceFit | None:
         """Return the fit of the other columns beside an oil of 1/beta_e, 1/Pa."""
         return fitted(self.course, self.course.counted("flow"), self.flow + stiffness * pressed,
-                      self.columns, off=areas_apart(self.course, rig))
+                      self.columns, off=self.off)
 
     def rows(self, *columns: np.ndarray) -> np.ndarray:
         """Return columns (m,) in the band, at the samples that count."""
@@ -52,23 +55,39 @@ class Flow(NamedTuple):
 
 
 def flow_of(course: Course, rig: Rig) -> Flow | None:
-    """Return the flow balance of a course; None without its channels or volumes."""
-    course = course.quick
+    """Return the flow balance of a course in its band; None without its channels or volumes."""
     columns = flow_columns(course, rig)
     if columns is None or not (rig.volume_1 and rig.volume_2) or "flow" not in course.known:
         return None
     flow, (pump, leakage, _) = columns
     leakage = (*leakage[:3], 0, leakage[4])  # beside the config's it may be less
-    late = ("tau", "m³", "lag of the pump's speed", 0, slope(pump[4], course.dt))
+    speed, taken = pump[-1], course.taken(rig)
+    moved = float(speed[course.good] @ taken[course.good]) / max(
+        float(speed[course.good] @ speed[course.good]), 1e-300)
+    late = course.skew * moved * slope(speed, course.dt)
     pressed = [course.of_filled(*oil_pressed(course, rig))]
     if not np.any(course.added("stroke")):
         pressed.append(pressed[0] + rig.area_1 * course.x * course.of_filled(
             course.rate_1, course.rate_2))
-    return Flow(course, flow - course.added("flow"), (pump, leakage, late), pressed)
+    return Flow(course, flow - course.added("flow"), (pump, leakage),
+                (late, *areas_apart(course, rig)), pressed)
 
 
 def compressibility(course: Course, rig: Rig) -> Term | None:
     """Return 1/beta_e; None where the motion does not determine it.
+
+    Of the widest band, or of the next where the pressures' noise hides the oil's part there: in a
+    smooth motion that is as slow as the rest.
+    """
+    for band in (course.quick, course)[: 1 + (course.wide is not None)]:
+        found = _within(band, rig)
+        if found is not None:
+            return found
+    return None
+
+
+def _within(course: Course, rig: Rig) -> Term | None:
+    """Return 1/beta_e in a course's band, None where the motion does not determine it.
 
     The deviation holds how far it goes beside what a pump loses in either direction, which
     resembles the oil's part at one speed, and beside a play of the position sensor, which misses
@@ -78,7 +97,7 @@ def compressibility(course: Course, rig: Rig) -> Term | None:
     balance = flow_of(course, rig)
     if balance is None:
         return None
-    course, flow, columns, ways = balance
+    course, flow, columns, off, ways = balance
     bent = (course.direction, np.ones(len(course)), swallowed(course, rig, sharp=False))
     found: list[tuple[float, Term]] = []
     whole = float(np.std(balance.rows(flow)))
@@ -87,8 +106,7 @@ def compressibility(course: Course, rig: Rig) -> Term | None:
         if own < CLEAR * rig.volume_1 * course.sensors["p"] * course.passed[1]:
             continue
         fit = fitted(course, course.counted("flow"), flow, (
-            *columns, ("1/beta_e", "1/Pa", "compressibility", 1, -pressed)), bent,
-            off=areas_apart(course, rig))
+            *columns, ("1/beta_e", "1/Pa", "compressibility", 1, -pressed)), bent, off=off)
         if fit is not None and fit["1/beta_e"].determined:
             term = fit["1/beta_e"]
             found.append((fit.error_share, replace(term, stddev=float(np.hypot(

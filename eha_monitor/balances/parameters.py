@@ -52,20 +52,21 @@ def parameters_of(recording: Recording, settings: Settings) -> dict[str, Paramet
     settings : the config; its effects count as known.
     """
     found: dict[str, ParameterEstimate] = {}
-    whole = np.nanstd(force_of(settings.rig, sample_of(recording).channels))
-    course = None
+    widest = None
     for band in BANDS:
         try:
             course = course_within(recording, settings, band)
         except InputError:
             break
-        if "B" in found or np.std(course.in_band(course.force)) < HELD * whole:
+        if np.std(course.in_band(course.force)) < HELD * np.nanstd(force_of(
+                settings.rig, sample_of(recording).channels)):
             continue
-        damping = _damping(course, settings)
+        widest = course
+        damping = _damping(course, settings) if "B" not in found else None
         if damping is not None:
             found["B"] = ONE.judged(settings, damping.value, damping.stddev)
-    soft = None if course is None else compressibility(
-        *of_one_machine([course], settings.rig), settings.rig)
+    soft = None if widest is None else compressibility(
+        *of_one_machine([widest], settings.rig), settings.rig)
     if soft is not None:
         found["beta_e"] = TWO.judged(settings, 1.0 / soft.value, soft.stddev / soft.value**2)
     return found

@@ -24,10 +24,10 @@ def softened(courses: Sequence[Course], rig: Rig, healthy: float, now: float
     """
     rates, missing, made, squares = [], [], [], []
     for course in courses:
-        balance = flow_of(course, rig)
+        balance = flow_of(course.quick, rig)
         fits = [] if balance is None else [
             (fit, pressed) for pressed in balance.pressed
-            if (fit := balance.left(rig, pressed, now)) is not None]
+            if (fit := balance.left(pressed, now)) is not None]
         if not fits:
             continue
         fit, pressed = min(fits, key=lambda one: one[0].error_share)
@@ -37,7 +37,7 @@ def softened(courses: Sequence[Course], rig: Rig, healthy: float, now: float
         rates.append(rows[:, 1] / rig.volume_1)
         missing.append(rest + taken)
         made.append(taken)
-        before = balance.left(rig, pressed, healthy)
+        before = balance.left(pressed, healthy)
         squares.append(fit.samples * np.square([
             before.unseen_share * np.std(rows[:, 0] + healthy * rows[:, 1]),
             fit.unseen_share * np.std(rows[:, 0] + now * rows[:, 1]),
