@@ -19,7 +19,8 @@ LOW = 0.05  # of the samples of an emptier chamber: what stands for its lowest p
 AWHILE = 1e-3  # of the samples: a pressure that is reached, and not by noise
 EMPTY = 0.1  # of the samples in which a chamber is the emptier one, for that to be said
 # Hz: pass bands of the balances, the next one where a motion is too quick for the one before.
-BANDS = BAND, _ = 5.0, 20.0
+BANDS = 5.0, 20.0
+BAND = BANDS[0]
 MOTION = 4.0  # bands: pass band of the motion
 GRID, COARSE = 32, 4  # points in a period of the band; each so-many-th of them is compared
 NO_MOTION = "nothing moves in it"

@@ -4,8 +4,9 @@
 
 of a band in which the oil's part differs from that of a late channel.  A speed that is late by tau
 adds a flow as smooth as the motion; the oil takes up most where the force turns over, in some
-hundredths of a second.  Which channel is how late nobody knows, so tau is fitted, within some
-samples: without dry friction the force goes with the speed, and nothing else tells the two apart.
+hundredths of a second.  Which channel is how late nobody knows, so tau is fitted, with half a
+sample as its prior deviation: without dry friction the force goes with the speed, and nothing else
+tells the two apart.
 """
 
 from collections.abc import Sequence
@@ -74,15 +75,21 @@ def flow_of(course: Course, rig: Rig) -> Flow | None:
 
 
 def compressibility(course: Course, rig: Rig) -> Term | None:
-    """Return 1/beta_e; None where the motion does not determine it.
+    """Return 1/beta_e; None where the motion does not determine it."""
+    found = clearest(course, rig)
+    return None if found is None else found[1]
 
-    Of the widest band, or of the next where the pressures' noise hides the oil's part there: in a
-    smooth motion that is as slow as the rest.
+
+def clearest(course: Course, rig: Rig) -> tuple[Course, Term] | None:
+    """Return a motion in the band that shows the oil best, and 1/beta_e there.
+
+    It is the widest, or the next where the pressures' noise hides the oil's part in it: that of a
+    smooth motion, which is as slow as the rest.
     """
-    for band in (course.quick, course)[: 1 + (course.wide is not None)]:
-        found = _within(band, rig)
+    for one in (course,) if course.wide is None else (course.quick, course):
+        found = _within(one, rig)
         if found is not None:
-            return found
+            return one, found
     return None
 
 

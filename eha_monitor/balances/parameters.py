@@ -10,6 +10,7 @@ astray where it is not; these two equations ask for so little that a stranger's 
 """
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 
@@ -52,7 +53,7 @@ def parameters_of(recording: Recording, settings: Settings) -> dict[str, Paramet
     settings : the config; its effects count as known.
     """
     found: dict[str, ParameterEstimate] = {}
-    widest = None
+    motion = None  # in the first band that holds it, with that in the widest
     for band in BANDS:
         try:
             course = course_within(recording, settings, band)
@@ -61,12 +62,12 @@ def parameters_of(recording: Recording, settings: Settings) -> dict[str, Paramet
         if np.std(course.in_band(course.force)) < HELD * np.nanstd(force_of(
                 settings.rig, sample_of(recording).channels)):
             continue
-        widest = course
+        motion = course if motion is None else replace(motion, wide=course)
         damping = _damping(course, settings) if "B" not in found else None
         if damping is not None:
             found["B"] = ONE.judged(settings, damping.value, damping.stddev)
-    soft = None if widest is None else compressibility(
-        *of_one_machine([widest], settings.rig), settings.rig)
+    soft = None if motion is None else compressibility(
+        *of_one_machine([motion], settings.rig), settings.rig)
     if soft is not None:
         found["beta_e"] = TWO.judged(settings, 1.0 / soft.value, soft.stddev / soft.value**2)
     return found

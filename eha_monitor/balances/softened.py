@@ -6,7 +6,7 @@ import numpy as np
 
 from eha_monitor.balances.candidates import SIDES
 from eha_monitor.balances.course import Course
-from eha_monitor.balances.oil import flow_of
+from eha_monitor.balances.oil import clearest, flow_of
 from eha_monitor.balances.places import binned
 from eha_monitor.mismatch.diagnosis import Curve, SignalFit
 from eha_monitor.settings.rig import Rig
@@ -24,7 +24,8 @@ def softened(courses: Sequence[Course], rig: Rig, healthy: float, now: float
     """
     rates, missing, made, squares = [], [], [], []
     for course in courses:
-        balance = flow_of(course.quick, rig)
+        found = clearest(course, rig)
+        balance = None if found is None else flow_of(found[0], rig)
         fits = [] if balance is None else [
             (fit, pressed) for pressed in balance.pressed
             if (fit := balance.left(pressed, now)) is not None]
