@@ -114,7 +114,8 @@ def test_every_copy_of_the_package_shares_what_was_compiled_once(tmp_path):
 def test_processes_that_compile_at_once_leave_nothing_out_and_nothing_broken(tmp_path):
     cache = tmp_path / "cache"
     together = [ran(PACKAGE.parent, ONE_FUNCTION, cache, tmp_path) for _ in range(3)]
-    assert all(told(process)[0] for process in together)
+    compiled = [told(process)[0] for process in together]
+    assert max(compiled) > 0  # one that starts late, on a busy machine, may find it done
     assert told(ran(PACKAGE.parent, ONE_FUNCTION, cache, tmp_path))[0] == 0
     assert not list(cache.rglob("*.tmp"))
 
