@@ -441,8 +441,8 @@ def _loop_gain(omega: np.ndarray, demand: np.ndarray, error: np.ndarray, step: f
     if plain is None:
         return None
     wanted, top = np.abs(plain[0] * error), float(np.nanmax(np.abs(omega)))
-    rate = np.gradient(omega, step)
-    good = np.isfinite(rate) & np.isfinite(omega) & np.isfinite(error) & (wanted < FREE * top)
+    rate, led = np.gradient(omega, step), np.gradient(demand, step)
+    good = np.isfinite(omega + rate + error + led) & (wanted < FREE * top)
     if good.sum() < 100 or not np.std(omega[good]):
         return Gain(*plain)
     there = omega[good]
@@ -453,7 +453,7 @@ def _loop_gain(omega: np.ndarray, demand: np.ndarray, error: np.ndarray, step: f
         return w, float(np.var(there - matrix @ w) / np.var(there))
 
     alone, left = fitted(error, -rate)
-    fed, less = fitted(error, -rate, np.gradient(demand, step))
+    fed, less = fitted(error, -rate, led)
     if fed[0] > 0.0 and less < FED * left:
         return Gain(float(fed[0]), 1.0 - less, float(fed[2]))
     return Gain(float(alone[0]), 1.0 - left)
