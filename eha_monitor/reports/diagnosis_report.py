@@ -54,7 +54,7 @@ def diagnosis_page(found: Diagnosis, settings: Settings, losses: Sequence[str] =
         "diagnosis.html.j2", plus_minus=words.footnote(found),
         title=f"EHA diagnosis: {name}", name=name,
         first=_first_screen(found, curves, settings), facts=_facts(found, settings), losses=losses,
-        verdict=found.verdict, references=len(found.references), compared=words.compared(found),
+        verdict=found.verdict, references=_healthy(found), compared=words.compared(found),
         indicators=indicator_table(indicators, settings), laws=law_table(indicators),
         changes=_changes(found), pieces=_pieces(found), machine=_machine(found),
         wrong=_rig_table(found.rig_data, settings.rig.tolerance),
@@ -140,6 +140,13 @@ def _learned_note(term: diagnosis.LearnedTerm) -> str:
             f"with its band. {formula} Outside the ends there are no data.")
 
 
+def _healthy(found: Diagnosis) -> int:
+    """Return how many references an answer compares with, without those that were left out."""
+    whole = found.references and found.machine is not None and not found.machine.pieces
+    return len(found.machine.sources) if whole else len(found.references)
+
+
+
 def _facts(found: Diagnosis, settings: Settings) -> list[tuple[str, str]]:
     facts = [("Recordings" if len(found.bags) > 1 else "Recording",
               ", ".join(found.bags) or "no file"), ("Rig", settings.rig.name)]
@@ -156,7 +163,7 @@ def _changes(found: Diagnosis) -> Table:
     """Return what has changed against healthy recordings."""
     return table("number | healthy | now | indistinguishable from", words.change_rows(found),
                  " | value | value | ",
-                 note=f"Healthy: mean of {len(found.references)} recordings, ± their standard "
+                 note=f"Healthy: mean of {_healthy(found)} recordings, ± their standard "
                       "deviation from one to the next. Now: this recording, ± its uncertainty "
                       "due to noise.")
 
