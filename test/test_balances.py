@@ -691,7 +691,7 @@ def test_a_long_recording_is_sampled_without_the_steps_between_its_stretches(
 
 
 def test_what_softer_oil_takes_up_is_seen_against_the_rate_of_the_pressure():
-    """Flow by its equation, of an oil half as stiff as the healthy one, and a speed 2 ms late."""
+    """Flow by its equation, of an oil half as stiff as the healthy one, and a speed 5 ms late."""
     area, volume, pump, soft = 1.3e-3, 2.2e-4, 1e-6, 1.0 / 5e8
     config = settings_from_tree({"rig": {
         "area_1": area, "area_2": area, "volume_1": volume, "volume_2": volume, "mass": 100.0,
@@ -707,14 +707,14 @@ def test_what_softer_oil_takes_up_is_seen_against_the_rate_of_the_pressure():
     noise = {"x": 1e-6, "omega": 1e-2, "p1": 500.0, "p2": 500.0}
     recording = Recording(1e-3, {name: values + noise[name] * rng.standard_normal(len(t))
                                  for name, values in (
-                                     ("x", x), ("omega", np.interp(t - 2e-3, t, flow) / pump),
+                                     ("x", x), ("omega", np.interp(t - 5e-3, t, flow) / pump),
                                      ("p1", p1), ("p2", p2))})
     courses = [course_of(recording, config)]
     term = compressibility(courses[0], config.rig)
-    assert abs(term.value - soft) < min(2.0 * term.stddev, 0.1 * soft)
+    assert abs(term.value - soft) < min(2.0 * term.stddev, 0.15 * soft)
     curve, fit = softened(courses, config.rig, 0.5 * soft, term.value)
     assert fit.after_rms < 0.3 * fit.before_rms
     slope = np.polyfit(curve.x, curve.measured, 1)[0]
-    assert slope == pytest.approx(-0.5 * soft * volume, rel=0.1)
+    assert slope == pytest.approx((0.5 * soft - term.value) * volume, rel=0.15, abs=0.0)
     assert np.allclose(curve.modelled, (0.5 * soft - term.value) * volume * curve.x, rtol=0.05,
                        atol=0.02 * np.abs(curve.modelled).max())

@@ -32,8 +32,11 @@ def softened(courses: Sequence[Course], rig: Rig, healthy: float, now: float
         if not fits:
             continue
         fit, pressed = min(fits, key=lambda one: one[0].error_share)
-        rows = balance.rows(balance.flow, pressed, *(column[-1] for column in balance.columns))
-        rest = rows[:, 0] + now * rows[:, 1] - rows[:, 2:] @ [term.value for term in fit.terms]
+        rows = balance.rows(balance.flow, pressed, *(column[-1] for column in balance.columns),
+                            *balance.off)
+        others = rows[:, 2:] / np.maximum(np.abs(rows[:, 2:]).max(axis=0), 1e-300)
+        rest = rows[:, 0] + now * rows[:, 1]
+        rest = rest - others @ np.linalg.lstsq(others, rest, rcond=None)[0]
         taken = (healthy - now) * rows[:, 1]
         rates.append(rows[:, 1] / rig.volume_1)
         missing.append(rest + taken)
