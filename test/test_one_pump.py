@@ -1,11 +1,13 @@
 """A single-rod cylinder whose one pump fills the chamber of the higher pressure, by arithmetic."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from eha_monitor.balances.baseline import baseline
-from eha_monitor.balances.course import ONE_PUMP
-from eha_monitor.balances.measured import courses_of
+from eha_monitor.balances.course import HIGHER, ONE_PUMP
+from eha_monitor.balances.measured import course_of, courses_of
 from eha_monitor.balances.together import of_one_machine
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings import settings_from_tree
@@ -47,3 +49,25 @@ def test_its_displacement_and_its_leak_are_those_of_the_chamber_it_fills(load):
         flow = baseline(recording, settings).flow
         assert flow["D_p"].value == pytest.approx(D, rel=0.01)
         assert flow["C_L"].value == pytest.approx(LEAK, rel=0.05)
+
+
+def test_no_flow_is_balanced_where_check_valves_feed_both_chambers():
+    """Two seconds in the middle at the source's pressure: a spring moves the piston there."""
+    area, t, rng = 1.3e-3, np.arange(0.0, 12.0, 1e-3), np.random.default_rng(1)
+    x = 2e-2 * np.sin(2.0 * np.pi * 0.4 * t)
+    free = (t > 5.0) & (t < 7.0)
+    head = np.where(free, 0.0, 8e5 * np.sin(2.0 * np.pi * 0.4 * t + 0.3))
+    recording = Recording(1e-3, {
+        "x": x, "omega": area * np.gradient(x, t) / 1e-6 * np.where(free, 3.0, 1.0),
+        **{name: 1.3e6 + np.maximum(side * head, 0.0) + 500.0 * rng.standard_normal(len(t))
+           for name, side in (("p1", 1.0), ("p2", -1.0))}})
+    config = settings_from_tree({"rig": {
+        "area_1": area, "area_2": 0.7 * area, "volume_1": 2e-4, "volume_2": 2e-4, "mass": 20.0,
+        "pump_displacement": 1e-6, "position_gain": None}}, "a test")
+    course = replace(course_of(recording, config), oil=HIGHER)
+    at = np.arange(len(course)) * course.dt
+    assert not course.counted("flow")[(at > 5.2) & (at < 6.8)].any()
+    assert course.good[(at > 5.2) & (at < 6.8)].any()
+    assert course.counted("flow").sum() > 0.5 * course.good.sum()
+    none = replace(course, good=np.zeros(len(course), dtype=bool))
+    assert not none.counted("flow").any()

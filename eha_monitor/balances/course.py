@@ -277,6 +277,8 @@ class Course:
     @cached_property
     def fed(self) -> np.ndarray:
         """Where both chambers are at the pressure of what feeds the emptier one, (m,) bool."""
+        if not self.good.any():
+            return np.zeros(len(self), dtype=bool)
         high, low = np.maximum(self.p1, self.p2), np.minimum(self.p1, self.p2)
         source = np.quantile(low[self.good], LOW)
         both = high - source < FED * (np.quantile(high[self.good], TOP) - source)
