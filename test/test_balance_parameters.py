@@ -14,6 +14,7 @@ from machine_tools import healthy_machine
 from rig_tools import BETA, CHIRP, MULTISINE, SINE, TRIANGLE, B, settings, simulated, without
 
 from eha_monitor.api.answer import answer, judged, judged_series
+from eha_monitor.balances.baseline import baseline
 from eha_monitor.balances.changed import against
 from eha_monitor.balances.course import slope
 from eha_monitor.balances.parameters import LEAST_S, along, parameters_of
@@ -29,6 +30,7 @@ from eha_monitor.estimation.results import (
     stands,
 )
 from eha_monitor.live.estimator import LiveEstimator
+from eha_monitor.recordings.recording import Recording
 from eha_monitor.ros.messages import estimates
 
 FAST = {**MULTISINE, "amplitude": 0.01, "frequency": 0.5, "frequency_end": 40.0, "components": 16}
@@ -47,6 +49,9 @@ FLOWS = {"leakage": {"cross_port_leakage": {"L": 1e-12}},
          "leakage offset": {"leakage_offset": {"Q_0": 1e-8}}}
 
 
+MEASURED_FORCE = settings(rig={"area_1": None, "area_2": None, "mass": 20.0})
+
+
 @pytest.fixture(scope="module")
 def dry():
     """Twelve seconds of a machine with 40 N of dry friction, of which the config knows nothing."""
@@ -59,6 +64,36 @@ def test_a_missing_force_moves_b_by_no_more_than_it_says(motion, effects):
     recording = simulated(MOTIONS[motion], 12.0, effects=effects).recording(0)
     found = parameters_of(recording, settings())["B"]
     assert abs(found.value - B) < 3.0 * found.stddev + 0.003 * B
+
+
+def falling_friction(speed, power, seed, fall=40.0):
+    """Return 20 s of F = 20 x'' + 1500 x' + (60 + fall exp(-|x'/speed|^power)) sgn x'."""
+    t, rng = np.arange(0.0, 20.0, 2e-3), np.random.default_rng(seed)
+    x = sum(0.03 / k * np.sin(2.0 * np.pi * 0.15 * k * t + rng.uniform(0.0, 6.3))
+            for k in range(1, 5))
+    v = np.gradient(x, t)
+    force = (20.0 * np.gradient(v, t) + 1500.0 * v + np.tanh(v / 2e-4)
+             * (60.0 + fall * np.exp(-np.abs(v / speed) ** power)))
+    return Recording(2e-3, {"x": x + 1e-6 * rng.standard_normal(len(t)),
+                            "force": force + rng.standard_normal(len(t))})
+
+
+@pytest.mark.parametrize("speed, known_to", [(0.003, 0.04), (0.015, 0.12), (0.03, 0.25)])
+@pytest.mark.parametrize("power", [0.5, 1.0, 2.0])
+def test_friction_that_falls_with_speed_is_not_less_damping(speed, known_to, power):
+    """Over the motion's 80 mm/s; a straight line through it reads up to 25 % too little."""
+    recording = falling_friction(speed, power, 1)
+    found = parameters_of(recording, MEASURED_FORCE)["B"]
+    assert abs(found.value - 1500.0) < 2.0 * found.stddev
+    assert found.stddev < known_to * found.value
+    line = baseline(recording, MEASURED_FORCE).force["B"]
+    assert abs(found.value - 1500.0) < max(0.5 * abs(line.value - 1500.0), 15.0)
+
+
+def test_that_friction_may_fall_costs_nothing_where_it_does_not():
+    recording = falling_friction(0.003, 1.0, 2, fall=0.0)
+    found = parameters_of(recording, MEASURED_FORCE)["B"]
+    assert abs(found.value - 1500.0) < 2.0 * found.stddev < 0.01 * 1500.0
 
 
 @pytest.mark.parametrize("motion", MOTIONS)

@@ -63,20 +63,28 @@ def test_at_a_triangle_the_misread_damping_waits_for_the_reversal():
     made.push(rows_of(simulated(TRIANGLE, 11.0, faults=friction(4.5)).recording(0)))
     assert made.history[-1].parameters["B"].value > 1500
     assert made.history[-1].model.tainted["B"].testing is False
-    assert [word for word, _ in history_of_alarms(made)] == ["STALE", "OK", "not judged"]
+    words = [word for word, _ in history_of_alarms(made)]
+    assert words[:3] == ["STALE", "OK", "not judged"] and set(words) == set(words[:3])
 
 
 @pytest.mark.parametrize("seed", [0, 2])
 def test_a_model_that_nothing_has_tested_raises_no_alarm(seed):
-    """At 100 Hz the first whole window comes late; ERROR stood at 8 s, the mismatch came later."""
+    """At 100 Hz the first whole window comes late; ERROR stood at 8 s, the mismatch came later.
+
+    The truth, 1500 N·s/m that fall to 1275, is above the limit of WARN (1200) and below that of
+    ERROR; least squares find it beside the fall of the friction.
+    """
     made = Stream(rig={"area_1": A_1, "area_2": A_2, "volume_1": 2e-4, "volume_2": 2e-4,
                        "mass": 60.0, "pump_displacement": None, "position_gain": None,
                        "sample_time": 1e-2}, effects={"constant_load": {"F_0": 338.0}})
     made.push(rows_of(stranger(seed, dt=1e-2, seconds=25.0)))
     worst = max(s.parameters["B"].value for s in made.history
                 if s.parameters["B"].status == "converged")
-    assert worst > 4000  # the truth is 1500 and 180 N of dry friction; the limits of ERROR, 1500
-    assert {word for word, _ in history_of_alarms(made)} <= {"STALE", "OK", "not judged"}
+    assert worst > 4000  # beside 180 N of dry friction
+    assert {word for word, _ in history_of_alarms(made)} <= {"STALE", "OK", "not judged", "WARN"}
+    judged = [taint.instead for s in made.history
+              if (taint := s.model.tainted.get("B")) is not None and taint.instead is not None]
+    assert judged and all(1275.0 < one.value < 1500.0 for one in judged)
     assert made.history[-1].model.mismatches
 
 

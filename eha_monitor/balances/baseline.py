@@ -17,7 +17,6 @@ from eha_monitor.balances.least_squares import (
     independent,
     inverse_of,
     signed_solution,
-    unexcluded,
 )
 from eha_monitor.balances.measured import course_of, known_of
 from eha_monitor.balances.table import areas_apart, flow_columns
@@ -177,17 +176,12 @@ def falling(course: Course, slow: float) -> np.ndarray:
     return course.direction * np.exp(-np.abs(course.v) / max(course.speed, 1e-300) / slow)
 
 
-def force_fit(course: Course, rig: Rig, known: np.ndarray | float = 0.0,
-              held: bool = False, late: np.ndarray | None = None,
-              beside: Sequence[np.ndarray] = ()) -> BalanceFit | None:
+def force_fit(course: Course, rig: Rig, known: np.ndarray | float = 0.0) -> BalanceFit | None:
     """Return the force balance on samples that move; None where too few do, or it never changes.
 
     Parameters
     ----------
     known : (m,) N, what else the config knows to act.
-    held : ``known`` holds all dry friction; that it may be another is in the deviations.
-    late : (m,) N/s, rate of the force, if the deviations are to hold that it may be late.
-    beside : what may stand beside, see :func:`fitted`.
     """
     if not course.shows:
         return None
@@ -196,24 +190,20 @@ def force_fit(course: Course, rig: Rig, known: np.ndarray | float = 0.0,
     # A load may go with the place: a lever's weight left B 22 to 48 % too large, and sure of it.
     bent = [course.v * speed, course.x - np.mean(course.x),
             *(falling(course, slow) for slow in SLOW)]
-    bent += [] if late is None else [late]
-    dry = ("F_c", force, "dry friction", 1, course.direction)
     columns = (("M", inertia, "moving mass", 1, course.a),
-               ("B", damping, "viscous damping", 1, course.v), *(() if held else (dry,)),
+               ("B", damping, "viscous damping", 1, course.v),
+               ("F_c", force, "dry friction", 1, course.direction),
                ("F_0", force, "constant load", 0, one))
-    return fitted(course, course.counted("force"), course.force - known, columns,
-                  [course.direction, *bent] if held else bent, beside)
+    return fitted(course, course.counted("force"), course.force - known, columns, bent)
 
 
 def fitted(course: Course, counted: np.ndarray, y: np.ndarray, columns: tuple,
-           bent: Sequence[np.ndarray] = (), beside: Sequence[np.ndarray] = (),
-           off: Sequence[np.ndarray] = ()) -> BalanceFit | None:
+           bent: Sequence[np.ndarray] = (), off: Sequence[np.ndarray] = ()) -> BalanceFit | None:
     """Fit columns (name, unit, words, sign, values) to y on the counted samples.
 
     The standard deviations are those of as many independent samples as the residual has, and
     contain how far a number moves beside each way in which the law may be ``bent``, where that
-    fits better; and what may stand ``beside``, (m,) each as large as one prior deviation of it, as
-    far as the data do not exclude it.  By what numbers of the config are ``off`` is fitted too,
+    fits better.  By what numbers of the config are ``off`` is fitted too,
     (m,) each as large as one deviation, and is no term.
     """
     told = len(columns)
@@ -224,8 +214,7 @@ def fitted(course: Course, counted: np.ndarray, y: np.ndarray, columns: tuple,
     if counted.sum() < 4 * k:
         return None
     rows = course.in_band(np.column_stack([y, *values]))[counted]
-    ways, nuisances = (course.in_band(np.column_stack(some))[counted].T if len(some) else ()
-                       for some in (bent, beside))
+    ways = course.in_band(np.column_stack(bent))[counted].T if len(bent) else ()
     block = (np.flatnonzero(counted) * course.step / BLOCK).astype(int)
     whole = rows.T @ rows
     left, noise, known = np.full(len(counted), np.nan), 0.0, np.arange(1 + told, 1 + k)
@@ -252,9 +241,6 @@ def fitted(course: Course, counted: np.ndarray, y: np.ndarray, columns: tuple,
         if better < (1.0 - BETTER / effective) * float(np.nansum(left**2)):
             shift = np.maximum(shift, np.abs(other[:k] - w))
     variance[free] += shift[free] ** 2
-    for column in nuisances:
-        moves, mean, its, _ = unexcluded(rows[:, 1:][:, free], column, left[counted], noise)
-        variance[free] += moves**2 * (its + mean**2)
     stddev = np.sqrt(np.where(unknown, np.inf, np.where(held, alone, variance)))
     size = max(float(np.std(rows[:, 0])), 1e-300)
     weights = np.abs(w) * np.sqrt(np.mean(rows[:, 1:] ** 2, axis=0)) / size

@@ -1,6 +1,6 @@
 """B and beta_e of some seconds by least squares, beside the model that the config has.
 
-    F - known = (M) x'' + B x' + F_0 (+ F_c sgn x')             force balance
+    F - known = M x'' + B x' + F_0 (+ F_c sgn x')  force balance, see :mod:`damping`
     A x' - known = D_p omega - V(x) p' / beta_e - C_L (p1 - p2)  flow balance, see :mod:`oil`
 
 ``known`` is what the config's effects add along the measured motion.  Mass, load, displacement and
@@ -14,14 +14,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from eha_monitor.balances.baseline import (
-    Term,
-    falling,
-    force_fit,
-)
-from eha_monitor.balances.bends import FALL
-from eha_monitor.balances.candidates import fall_speeds
-from eha_monitor.balances.course import BAND, BANDS, Course, slope
+from eha_monitor.balances.course import BANDS, Course
+from eha_monitor.balances.damping import damping
 from eha_monitor.balances.measured import course_within
 from eha_monitor.balances.oil import compressibility
 from eha_monitor.balances.together import of_one_machine
@@ -54,6 +48,7 @@ def parameters_of(recording: Recording, settings: Settings) -> dict[str, Paramet
     """
     found: dict[str, ParameterEstimate] = {}
     motion = None  # in the first band that holds it, with that in the widest
+    damped: list[tuple[float, float]] = []
     for band in BANDS:
         try:
             course = course_within(recording, settings, band)
@@ -63,9 +58,11 @@ def parameters_of(recording: Recording, settings: Settings) -> dict[str, Paramet
                 settings.rig, sample_of(recording).channels)):
             continue
         motion = course if motion is None else replace(motion, wide=course)
-        damping = _damping(course, settings) if "B" not in found else None
-        if damping is not None:
-            found["B"] = ONE.judged(settings, damping.value, damping.stddev)
+        one = _damping(course, settings)
+        damped += [] if one is None else [one]
+    if damped:
+        value, stddev = damped[0]  # no better known than it is the same in a wider band
+        found["B"] = ONE.judged(settings, value, float(np.hypot(stddev, value - damped[-1][0])))
     soft = None if motion is None else compressibility(
         *of_one_machine([motion], settings.rig), settings.rig)
     if soft is not None:
@@ -82,25 +79,17 @@ def along(recording: Recording, settings: Settings) -> Iterator[Beside]:
         yield Beside((stop - 1) * dt, parameters_of(rows_of(recording, start, stop), settings))
 
 
-def _damping(course: Course, settings: Settings) -> Term | None:
-    """Return B: with the config's dry friction, or with one of its own, whichever is surer.
+def _damping(course: Course, settings: Settings) -> tuple[float, float] | None:
+    """Return B and its deviation: with the config's dry friction, or one of its own.
 
-    The deviation of the first holds how far another dry friction moves it where that fits better,
-    that of the second how little the motion may tell friction from damping.  A quick motion shows
-    milliseconds between the channels as damping, which the deviation holds as well; and friction
-    that falls over the speeds of the motion is less damping, as far as these do not exclude it.
+    Whichever is surer: the deviation of the first holds how far another dry friction moves it
+    where that fits better, of the second how little the motion may tell friction from damping.
     """
     rig = settings.rig
     known = course.known["force"] - rig.mass * course.a
-    late = slope(course.force, course.dt) if course.band > BAND else None
-    free = force_fit(course, rig, known)
-    dry = _friction(settings) + (0.0 if free is None else free["F_c"].value)
-    falls = [FALL * dry * falling(course, speed / max(course.speed, 1e-300))
-             for speed in fall_speeds(course, rig)]
-    ways = [fit["B"] for held in (True, False)
-            if (fit := force_fit(course, rig, known, held, late, falls)) is not None]
-    ways = [term for term in ways if term.determined]
-    return min(ways, key=lambda term: term.stddev, default=None)
+    ways = [found for held in (True, False) if (found := damping(
+        course, rig, known, _friction(settings), held)) is not None]
+    return min(ways, key=lambda way: way[1], default=None)
 
 
 def _friction(settings: Settings) -> float:
