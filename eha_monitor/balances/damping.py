@@ -65,10 +65,10 @@ def damping(course: Course, rig: Rig, known: np.ndarray, friction: float,
         return None
     columns, place = columns[:, free], int(free[:B].sum())
     dry = friction + (0.0 if held else float(first[-1]))
-    fits = _Fits(y, columns, place, counted)
+    fits = _Fits(y, place, counted)
     ways = FALL * dry * _falls(course, rig)[counted]
     plain, base, noise = fits.at(columns), columns, fits.noise(columns)
-    for _ in range(1 + FALLS):
+    for stands in range(FALLS + 1):
         at, left = fits.at(base), fits.left(base)
         found = [(at, float(inverse_of(base.T @ base)[place, place]) * noise, 0.0)]
         for way in ways.T:
@@ -76,7 +76,7 @@ def damping(course: Course, rig: Rig, known: np.ndarray, friction: float,
             found.append((at + mean * moves[place],
                           found[0][1] + variance * moves[place] ** 2, log))
         values, variances, logs = np.array(found).T
-        if logs.max() < 0.5 * BETTER:
+        if stands == FALLS or logs.max() < 0.5 * BETTER:
             break
         base = np.column_stack([base, ways[:, int(np.argmax(logs)) - 1]])
         noise = min(noise, fits.noise(base))
@@ -87,14 +87,15 @@ def damping(course: Course, rig: Rig, known: np.ndarray, friction: float,
                    fits.jackknifed(base, (np.flatnonzero(counted) * course.step / BLOCK)
                                    .astype(int)))
     others = course.in_band(np.column_stack(list(_others(course, held))))[counted]
-    return value, float(np.sqrt(variance + (SHAPE * (value - plain)) ** 2
-                                + fits.shift(base, others) ** 2))
+    stddev = float(np.sqrt(variance + (SHAPE * (value - plain)) ** 2
+                           + fits.shift(base, others) ** 2))
+    return (value, stddev) if np.isfinite(stddev) else None
 
 
 class _Fits:
-    """Least squares of y (n,) on columns (n, k) of which ``place`` is B's."""
+    """Least squares of y (n,), the ``counted`` ones of all samples; of columns ``place`` is B's."""
 
-    def __init__(self, y: np.ndarray, columns: np.ndarray, place: int, counted: np.ndarray):
+    def __init__(self, y: np.ndarray, place: int, counted: np.ndarray):
         self.y, self.place, self.counted = y, place, counted
 
     def weights(self, columns: np.ndarray) -> np.ndarray:
