@@ -93,7 +93,7 @@ def damping(course: Course, rig: Rig, known: np.ndarray, friction: float,
 
 
 class _Fits:
-    """Least squares of y (n,), the ``counted`` ones of all samples; of columns ``place`` is B's."""
+    """Least squares of y (n,), of all samples those ``counted``; column ``place`` is B's."""
 
     def __init__(self, y: np.ndarray, place: int, counted: np.ndarray):
         self.y, self.place, self.counted = y, place, counted
