@@ -29,8 +29,10 @@ from eha_monitor.estimation.results import (
     Taint,
     stands,
 )
+from eha_monitor.health.alarms import AlarmBoard
 from eha_monitor.live.estimator import LiveEstimator
 from eha_monitor.recordings.recording import Recording
+from eha_monitor.ros.findings import DataState, all_findings
 from eha_monitor.ros.messages import estimates
 
 FAST = {**MULTISINE, "amplitude": 0.01, "frequency": 0.5, "frequency_end": 40.0, "components": 16}
@@ -229,6 +231,34 @@ def test_what_is_published_is_what_stands_and_says_by_what():
         7e8, "stage two", "1")
     assert [status.level for status in message.status] == [
         DiagnosticStatus.OK, DiagnosticStatus.WARN]
+
+
+def test_a_value_that_nothing_has_tested_yet_is_in_doubt():
+    """45 259 +- 292 N·s/m, converged, stood for the first seconds of a machine of 1442."""
+    known = ParameterEstimate("B", 45259.0, 292.0, "N·s/m", "converged")
+    for taint, doubted in ((Taint("no window", 0.4, testing=True, untested=True), True),
+                           (Taint("it has just moved", 0.4, testing=True), False)):
+        model = ModelStatus("not_judged", "", (), {"B": taint})
+        (status,) = estimates(0, "rig", [known], model, "rig").status
+        values = {pair.key: pair.value for pair in status.values}
+        assert values["in_doubt"] == str(int(doubted))
+        assert status.level == (DiagnosticStatus.WARN if doubted else DiagnosticStatus.OK)
+
+
+def test_a_stage_led_astray_by_a_misfit_is_no_second_error():
+    """Healthy oil: a red stage two for minutes, beside a model that does not fit, said by WARN."""
+    lost = ParameterEstimate("beta_e", float("nan"), float("nan"), "Pa", "diverged", "it went off")
+    instead = ParameterEstimate("beta_e", 8e8, 6e7, "Pa", "converged", "βe = 800 ± 60 MPa")
+    by_taint = {}
+    for taint in (None, Taint("the model does not fit", 0.4, instead=instead)):
+        model = ModelStatus("mismatch", "", (), {} if taint is None else {"beta_e": taint})
+        board = AlarmBoard(settings())
+        found = {one.name: one for one in all_findings(
+            settings(), board, {"beta_e": lost}, {}, model, {}, DataState(stopped=None))}
+        by_taint[taint is not None] = found["stage_two"]
+    assert by_taint[False].level == "ERROR"
+    assert by_taint[True].level == "WARN"
+    assert by_taint[True].message == "it went off; by least squares βe = 800 ± 60 MPa"
 
 
 def test_stage_two_holds_the_force_balance_too():

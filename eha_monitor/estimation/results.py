@@ -190,6 +190,11 @@ class Taint:
     untested: bool = False
     instead: ParameterEstimate | None = None
 
+    @property
+    def standing(self) -> bool:
+        """Whether the stage's value is not to be used now: a misfit, or nothing has tested it."""
+        return self.untested or not self.testing
+
 
 @dataclass(frozen=True)
 class ModelStatus:
@@ -217,7 +222,7 @@ class ModelStatus:
     def in_doubt(self, symbol: str) -> bool:
         """Tell whether a parameter of :attr:`best` is in doubt all the same."""
         taint = self.tainted.get(symbol)
-        return taint is not None and not taint.testing and taint.instead is None
+        return taint is not None and taint.standing and taint.instead is None
 
 
 @dataclass(frozen=True)

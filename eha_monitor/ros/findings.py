@@ -100,7 +100,7 @@ def levels(board: AlarmBoard, parameters: dict[str, ParameterEstimate], model: M
     overload = data.overload.level if data.overload is not None else None
     return (board.levels, tuple(estimate.status for estimate in parameters.values()),
             frozenset(data.unsettled), model.status, bool(model.mismatches),
-            frozenset(name for name, taint in model.tainted.items() if not taint.testing),
+            frozenset(name for name, taint in model.tainted.items() if taint.standing),
             data.stopped is None, data.refused, bool(data.problems), data.unsaved is None,
             bool(data.implausible), overload)
 
@@ -181,13 +181,18 @@ def _stage(stage: str, estimate: ParameterEstimate | None, consistency: Consiste
                    "innovation_samples": consistency.samples}
     values |= _last(event)
     level = "STALE" if data.stopped else ESTIMATE_LEVELS[estimate.status]
-    if level == "ERROR" and estimate.name in data.unsettled:
+    taint = model.tainted.get(estimate.name)
+    standing = taint is not None and taint.standing
+    # A stage that a misfit has led astray is no second fault beside it.
+    if level == "ERROR" and (estimate.name in data.unsettled or standing):
         level = "WARN"
     message = estimate.message or estimate.status
-    values["in_doubt"] = _doubts(model, estimate.name)["tainted"]
-    if values["in_doubt"] and level == "OK":
+    values["in_doubt"] = int(standing)
+    if standing and level == "OK":
         level = "WARN"
-        message = f"in doubt, {model.tainted[estimate.name].reason}: {message}"
+        message = f"in doubt, {taint.reason}: {message}"
+    if standing and taint.instead is not None:
+        message = f"{message}; by least squares {taint.instead.message}"
     return Finding(name, level, data.stopped or message, values)
 
 
