@@ -236,7 +236,8 @@ def test_what_is_published_is_what_stands_and_says_by_what():
 def test_a_value_that_nothing_has_tested_yet_is_in_doubt():
     """45 259 +- 292 N·s/m, converged, stood for the first seconds of a machine of 1442."""
     known = ParameterEstimate("B", 45259.0, 292.0, "N·s/m", "converged")
-    for taint, doubted in ((Taint("no window", 0.4, testing=True, untested=True), True),
+    never = Taint("no window", 0.4, testing=True, untested=True, never=True)
+    for taint, doubted in ((never, True), (replace(never, never=False), False),
                            (Taint("it has just moved", 0.4, testing=True), False)):
         model = ModelStatus("not_judged", "", (), {"B": taint})
         (status,) = estimates(0, "rig", [known], model, "rig").status

@@ -179,7 +179,7 @@ class Taint:
     """Why a parameter deserves doubt, and since when, s.
 
     ``testing``: it has just moved, and the model is being tested on what came since;
-    ``untested``: no test has had enough data yet.
+    ``untested``: no test has had enough data lately, ``never``: none has at all.
     ``instead``: what least squares on the balances of the last seconds give
     (:mod:`balances.parameters`), None where the motion does not determine it.
     """
@@ -188,12 +188,13 @@ class Taint:
     since_s: float
     testing: bool = False
     untested: bool = False
+    never: bool = False
     instead: ParameterEstimate | None = None
 
     @property
     def standing(self) -> bool:
         """Whether the stage's value is not to be used now: a misfit, or nothing has tested it."""
-        return self.untested or not self.testing
+        return self.never or not self.testing
 
 
 @dataclass(frozen=True)

@@ -191,7 +191,7 @@ class AlarmBoard:
             return _Read(value, stddev, shown, note=f"in doubt: {taint.reason}")
         if taint.testing:
             return _Read(value, stddev, shown, taint, Doubt(
-                value, value, trial=True,
+                value, value, trial=True, never=taint.never,
                 wait=math.inf if taint.untested else LONGEST_TRIAL_S))
         if self._on_mismatch == "rebase":
             rebase = self._rebase[symbol]

@@ -109,13 +109,14 @@ class Doubt:
     """How far a value may be off: it may truly be as low as ``lowest``, as high as ``highest``.
 
     ``trial``: it has just moved, and may raise nothing until the model has been tested on it,
-    which a value that goes on moving waits ``wait`` s for.
+    which a value that goes on moving waits ``wait`` s for; ``never``: nothing has tested it yet.
     """
 
     lowest: float
     highest: float
     trial: bool = False
     wait: float = LONGEST_TRIAL_S
+    never: bool = False
 
 
 @dataclass
@@ -230,7 +231,8 @@ class Judge:
         bad = doubt.highest if self.sign > 0 else doubt.lowest
         evident = _ran(self.beyond, time_s, self.hold_time)
         if doubt.trial:
-            return ("WARN", True) if evident else ("OK", False)
+            inside = ("STALE", True) if doubt.never else ("OK", False)
+            return ("WARN", True) if evident else inside
         if self.sign * (bad - limit) <= 0:
             return "OK", False  # inside, wherever the model's error may have moved it from
         return ("WARN" if evident else "STALE"), True

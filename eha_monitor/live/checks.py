@@ -416,7 +416,9 @@ class LiveModel:
                    if trial.taint is not None}
         for stage, about in STAGES.items():  # a model that nothing has tested raises no alarm
             if self.verdicts[stage] is None and parameters[about.parameter].status == "converged":
-                tainted[about.parameter] = Taint(UNTESTED, time_s, testing=True, untested=True)
+                tainted[about.parameter] = Taint(
+                    UNTESTED, time_s, testing=True, untested=True,
+                    never=self._judged_s[stage] == -math.inf)
         standing = tuple(watch.standing for watch in self.watches.values() if watch.standing)
         if not standing:
             fitting = [v for v in self.verdicts.values() if v is None or v.consistent]
