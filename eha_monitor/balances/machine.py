@@ -448,7 +448,7 @@ def _balance(kind: str, courses: Sequence[Course], scale: Scale, rig: Rig,
             tables, weights, [s.name for s in settings if s.name not in usual], allowed, policy,
             loose | oil, pieces) for oil in ({}, oil_of(parameters, of, policy))), refused,
         tuple(recordings.errors(chosen.names).tolist()),
-        _forms(recordings, beside, chosen.names, allowed, policy), levers_of(tables, fit.names),
+        forms_of(recordings, beside, chosen.names, allowed, policy), levers_of(tables, fit.names),
         tuple(left_alone(table, [*fit.names, *fit.settings]) for table in tables))
 
 
@@ -480,7 +480,7 @@ def oil_of(parameters: Sequence[Parameter], of: Mapping[str, Candidate], policy:
     return {name: spread for name, spread in spreads.items() if spread > 0.0}
 
 
-def _forms(recordings: Recordings, beside: Recordings, names: Sequence[str],
+def forms_of(recordings: Recordings, beside: Recordings, names: Sequence[str],
            allowed: Sequence[str], policy: Policy) -> tuple[float, ...]:
     """Return how far each term goes with other shapes of its family; 0 of a setting's own."""
     def parameters(terms):

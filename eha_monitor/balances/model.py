@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import stdtr
 
+from eha_monitor import ties
 from eha_monitor.balances.alone import (
     Alone,
     Refused,
@@ -25,7 +26,7 @@ from eha_monitor.balances.course import Course
 from eha_monitor.balances.learned_curve import NAME as LEARNED
 from eha_monitor.balances.learned_curve import LearnedCurve, learned_curve, with_columns
 from eha_monitor.balances.least_squares import from_absent, rms
-from eha_monitor.balances.machine import MachineBalance
+from eha_monitor.balances.machine import MachineBalance, forms_of
 from eha_monitor.balances.policy import Policy
 from eha_monitor.balances.table import Table, nominal_of, pooled_table, tables_of
 from eha_monitor.balances.together import Named, Recordings, setting_of
@@ -295,9 +296,13 @@ def of_machine(one: MachineBalance, courses: Sequence[Course], rig: Rig, scale: 
     of = {c.name: c for c in tables[0].candidates}
     plain = [replace(table, rows=np.column_stack([table.left(held), table.rows[:, 1:]]))
              for table in tables]
-    together = Recordings(tables, own_oil=True)
+    together, whole = Recordings(tables, own_oil=True), pooled_table(tables)
+    names = _with_one_of_unsure(one, together, whole, policy)
+    if len(names) < len(one.terms):
+        one = _refitted(one, names, tables_of(
+            courses, rig, one.balance, candidates_of(one.balance, scale, rig), policy), policy)
     named = {name: family for family in one.named for name in family.terms}
-    count, terms, whole = max(len(one.error) - 1, 1), [], pooled_table(tables)
+    count, terms = max(len(one.error) - 1, 1), []
     own = {name: f"{name} 1" if f"{name} 1" in whole.places else name for name in one.terms}
     after = together.left_out(one.terms)
     lasting = form_and_doubts(whole, list(own.values()), _whole_share(tables, after), policy)
@@ -346,6 +351,48 @@ def of_machine(one: MachineBalance, courses: Sequence[Course], rig: Rig, scale: 
                   tuple(Recordings(plain).left_out(bare)),
                   tuple(after), tuple(tables), one.effective)
     return _unseen_gate(model, policy)
+
+
+def _with_one_of_unsure(one: MachineBalance, together: Recordings, whole: Table, policy: Policy
+                        ) -> list[str]:
+    """Return the terms, one of them for a named family whose members are all unsure.
+
+    Friction that grows with pressure and friction that does not share what each is (500 +- 700 N
+    of 750): the term without whose rivals recordings left out lose least, and no more than
+    ``worse`` of the signal.
+    """
+    names, found = list(one.terms), {p.name: p for p in one.parameters}
+    own = [f"{name} 1" if f"{name} 1" in whole.places else name for name in names]
+    lasting = dict(zip(names, np.diag(form_and_doubts(
+        whole, own, one.unexplained, policy)).tolist(), strict=True))
+    for family in one.named:
+        members = [name for name in family.terms if name in found]
+        if len(members) < 2 or any(policy.sure(p.value, float(np.sqrt(
+                p.stddev**2 + lasting[p.name]))) for p in map(found.get, members)):
+            continue
+        rest = [name for name in names if name not in members]
+        least, stays = ties.best(
+            [(rms(together.errors([*rest, name])), name) for name in members], lambda of: -of[0])
+        if least <= rms(together.errors(names)) + policy.worse:
+            names = [name for name in names if name in rest or name == stays]
+    return names
+
+
+def _refitted(one: MachineBalance, names: Sequence[str], tables: list[Table], policy: Policy
+              ) -> MachineBalance:
+    """Return a balance with fewer terms, of tables that hold all candidates."""
+    recordings, beside = Recordings(tables), Recordings(tables, own_oil=True)
+    fit, of = recordings.fit(names), {p.name: p for p in (*one.parameters, *one.settings)}
+    parameters = tuple(replace(of[name], value=float(value), between=float(between),
+                               stddev=float(stddev)) for name, value, between, stddev in zip(
+        fit.names, fit.value, fit.between, fit.stddev, strict=True))
+    settings = tuple(replace(of[name], value=tuple(value.tolist()))
+                     for name, value in zip(fit.settings, fit.setting.T, strict=True))
+    return replace(
+        one, parameters=parameters, settings=settings,
+        forms=forms_of(recordings, beside, names, [*recordings.candidates], policy),
+        named=tuple(replace(family, terms=tuple(
+            name for name in family.terms if name in names)) for family in one.named))
 
 
 def on_held_out(model: Model, course: Course, rig: Rig, policy: Policy) -> Model:
