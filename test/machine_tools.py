@@ -14,7 +14,7 @@ A_1, A_2 = np.pi / 4 * 0.040**2, np.pi / 4 * (0.040**2 - 0.025**2)  # m^2, rod o
 
 def stranger(seed=0, dry=180.0, rise=80.0, damping=(1500.0, 1275.0), load=338.0, mass=60.0,
              seconds=24.0, dt=2e-3, late=0.0, dead=False, stop=False, presses=4000.0, dwells=0,
-             spring=0.0, travel=1.0):
+             spring=0.0, travel=1.0, grows=0.0):
     """Return a recording of an inclined single-rod cylinder with 12-bit sensors.
 
     B runs from the first to the second value of ``damping``; friction has a Stribeck ``rise``.
@@ -23,6 +23,7 @@ def stranger(seed=0, dry=180.0, rise=80.0, damping=(1500.0, 1275.0), load=338.0,
     ``dwells`` : so many stretches of 1.2 s at rest, in which friction holds any force.
     ``spring`` : N/m, against which it moves.
     ``travel`` : share of the usual motion, and of the encoder's step.
+    ``grows`` : m^2, by which dry friction grows with the sum of the pressures.
     """
     rng = np.random.default_rng(seed)
     h = dt / 4
@@ -55,6 +56,7 @@ def stranger(seed=0, dry=180.0, rise=80.0, damping=(1500.0, 1275.0), load=338.0,
         force[(t > seconds - 2.0)] = presses
     p2 = 8e5 + 2e5 * np.sin(0.7 * t)
     p1 = (force + A_2 * p2) / A_1
+    p1 += grows * (p1 + p2) * np.tanh(v / 2e-4) / A_1
 
     def sampled(values, span, delay=0.0):
         step = span / 4096

@@ -11,6 +11,7 @@ from rig_tools import D_P, K_POS, MULTISINE, REST, real, simulated
 from rig_tools import settings as rig_settings
 
 from eha_monitor.balances.alone import alone
+from eha_monitor.balances.answer import Asked, first_answer
 from eha_monitor.balances.candidates import Scale, candidates_of, stop, taken_up
 from eha_monitor.balances.changed import against
 from eha_monitor.balances.discrepancy import learned
@@ -424,6 +425,21 @@ def test_the_command_writes_and_reads_a_machine(recordings, settings, tmp_path, 
         import eha_monitor as em
 
         em.diagnose(bags, config, machine=file)
+
+
+def test_friction_that_two_laws_share_is_told_as_one(settings):
+    """100 N and 17 N that grow with pressure, of areas to 2 %: each alone was unsure of itself."""
+    coarse = settings.rig.tolerance.model_copy(update={"area_1": 0.02, "area_2": 0.02})
+    config = settings.model_copy(update={
+        "rig": settings.rig.model_copy(update={"tolerance": coarse})})
+    found = first_answer([
+        stranger(seed, dry=100.0, rise=0.0, damping=(1500.0, 1500.0), load=load, seconds=16.0,
+                 grows=1e-5) for seed, load in enumerate((300.0, 380.0, 500.0, 420.0))],
+        config, Asked(None, None, (), ("load",)))
+    (dry,) = [one for one in found.effects if "F_c" in one.parameters]
+    assert dry.name == "coulomb_friction" and dry.parameters.keys() == {"F_c"}
+    assert dry.parameters["F_c"].value == pytest.approx(117.0, abs=3.0)
+    assert dry.parameters["F_c"].stddev < 10.0
 
 
 def test_a_real_machine_on_two_days():
