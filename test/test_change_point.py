@@ -36,6 +36,25 @@ def test_a_step_is_dated_and_measured(parameter, value, effects, symbol, step):
     assert found.statement.startswith(f"between {found.before_s:.1f} and {found.since_s:.1f} s")
 
 
+SWEEP = {"kind": "multisine", "amplitude": 0.02, "frequency": 0.1, "frequency_end": 8.0}
+
+
+@pytest.mark.parametrize("fastest", [6.0, 8.0])
+def test_air_that_enters_is_dated_though_no_balance_owes_two_per_cent_to_it(fastest):
+    found = change_point(recorded("bulk_modulus", 2.5e8, shape=SWEEP | {
+        "frequency_end": fastest}), settings())
+    assert found is not None and found.symbol == "beta_e"
+    assert found.before_s <= 12.0 <= found.since_s <= found.before_s + 12.0
+    assert abs(found.step.value + 3.5e8) < 3.0 * found.step.stddev < 1.5e8
+    assert "the effective bulk modulus fell from" in found.statement
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_oil_of_one_state_is_not_dated(seed):
+    shape = SWEEP | {"seed": seed, "frequency_end": 4.0 + 2.0 * seed}
+    assert change_point(recorded(shape=shape, seed=seed), settings()) is None
+
+
 @pytest.mark.parametrize("effects", [{}, RUBS, {"stribeck_friction": {
     "F_c": 100.0, "F_d": 60.0, "v_s": 0.01}}])
 @pytest.mark.parametrize("shape", [SLOW, {

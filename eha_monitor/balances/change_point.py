@@ -28,6 +28,7 @@ from eha_monitor.balances.contact import contacts_of
 from eha_monitor.balances.course import Course
 from eha_monitor.balances.least_squares import independent, inverse_of, signed_solution
 from eha_monitor.balances.measured import course_of
+from eha_monitor.balances.oil_change import oil_change
 from eha_monitor.balances.policy import POLICY, Policy
 from eha_monitor.balances.table import FOLDS, Table, tables_of
 from eha_monitor.balances.together import of_one_machine
@@ -40,7 +41,7 @@ from eha_monitor.words import effect_words, listed
 
 BLOCKS = 64  # at most: those of a long recording are joined
 FEWEST, LEAST = 3, 0.15  # blocks on either side, and their share
-DAMPING, DRIFT = "B", "viscous_drift"
+DAMPING, DRIFT, COMPLIANCE = "B", "viscous_drift", "C_h"
 BEYOND = " beyond the config's"
 
 
@@ -84,7 +85,10 @@ def change_point(recording: Recording, settings: Settings, policy: Policy = POLI
         step = _Steps(table, course, policy).largest() if table.n else None
         if step is not None:
             found.append(step)
-    return max(found, key=lambda step: step.removed, default=None)
+    largest = max(found, key=lambda step: step.removed, default=None)
+    if largest is None or largest.symbol == COMPLIANCE:  # the oil shows best in its own band
+        return oil_change(course, rig, policy) or largest
+    return largest
 
 
 def _told(source: str, c: Candidate, between: tuple[float, float], gain: float,

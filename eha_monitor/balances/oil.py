@@ -18,7 +18,7 @@ import numpy as np
 from eha_monitor.balances.baseline import BalanceFit, Term, fitted
 from eha_monitor.balances.candidates import oil_pressed, swallowed
 from eha_monitor.balances.course import Course, slope
-from eha_monitor.balances.table import areas_apart, flow_columns
+from eha_monitor.balances.table import areas_apart, displaced, flow_columns
 from eha_monitor.balances.together import pooled
 from eha_monitor.settings.rig import Rig
 
@@ -62,10 +62,7 @@ def flow_of(course: Course, rig: Rig) -> Flow | None:
         return None
     flow, (pump, leakage, _) = columns
     leakage = (*leakage[:3], 0, leakage[4])  # beside the config's it may be less
-    speed, taken = pump[-1], course.taken(rig)
-    moved = float(speed[course.good] @ taken[course.good]) / max(
-        float(speed[course.good] @ speed[course.good]), 1e-300)
-    late = course.skew * moved * slope(speed, course.dt)
+    late = course.skew * displaced(course, course.taken(rig)) * slope(pump[-1], course.dt)
     pressed = [course.of_filled(*oil_pressed(course, rig))]
     if not np.any(course.added("stroke")):
         pressed.append(pressed[0] + rig.area_1 * course.x * course.of_filled(

@@ -256,10 +256,15 @@ def areas_apart(course: Course, rig: Rig) -> tuple[np.ndarray, ...]:
     """
     if course.mean_of_both:
         return ()
-    speed, good = course.of_pump(course.omega), course.good
-    flow, pump = rig.area_1 * course.v[good], speed[good]
-    moved = float(flow @ pump) / float(pump @ pump) * speed
+    moved = displaced(course, rig.area_1 * course.v) * course.of_pump(course.omega)
     return (np.where(course.pumped_side < 0.0, rig.tolerance.log_spread("area_2") * moved, 0.0),)
+
+
+def displaced(course: Course, flow: np.ndarray) -> float:
+    """Return what the pump moves of a flow (m,) by turning, m³/rad; 0 of one at rest."""
+    good = course.good
+    pump = course.of_pump(course.omega)[good]
+    return float(flow[good] @ pump) / max(float(pump @ pump), 1e-300)
 
 
 def doubts_of(course: Course, rig: Rig, balance: str, whole: np.ndarray) -> list[np.ndarray]:
