@@ -45,7 +45,7 @@ def oil_change(course: Course, rig: Rig, policy: Policy) -> ChangePoint | None:
     weight = 1.0 / stddev**2
     steps = []
     for k in range(FEWEST, len(known) - FEWEST + 1):
-        before, since = (np.average(value[some], weights=weight[some])
+        before, since = (float(np.average(value[some], weights=weight[some]))
                          for some in (slice(None, k), slice(k, None)))
         # Their form is the same in all parts: it is no chance, and no number of parts narrows it.
         apart = float(np.hypot(*(np.median(stddev[some]) for some in (
