@@ -20,8 +20,10 @@ from std_srvs.srv import Trigger
 
 from eha_monitor.balances.machine import save
 from eha_monitor.live.diagnosing import Adopted, model_of
+from eha_monitor.ros.comparison import Comparison
 from eha_monitor.ros.messages import findings_of
 from eha_monitor.ros.monitor_node import Monitor
+from eha_monitor.ros.running import actuators_of
 from eha_monitor.ros.simulator_node import SimulatorNode
 from eha_monitor.ros.topics import LATCHED
 from eha_monitor.settings import settings_from_tree
@@ -272,6 +274,17 @@ def test_a_machine_of_another_rig_is_refused(machine, tmp_path, capfd):
     config.write_text("rig: {name: press}")
     said = refused(capfd, "monitor", "--config", config, "--machine", machine)
     assert "the machine of the rig eha, expected that of press" in said
+    config.write_text(f"rig: {{name: press}}\ndiagnosis: {{machine: {machine}}}")
+    said = refused(capfd, "monitor", "--actuator", f"left={config}")
+    assert "the machine of the rig eha, expected that of press" in said
+
+
+def test_an_actuator_is_a_place_and_takes_the_machine_of_its_config_s_rig(machine, tmp_path):
+    config = tmp_path / "config.yaml"
+    config.write_text(f"diagnosis: {{machine: {machine}}}")
+    ((settings, _),) = actuators_of((f"left={config}",))
+    assert (settings.rig.name, settings.monitor.namespace) == ("left", "/left")
+    assert Comparison(settings, None, lambda *said: None, int).findings[0].level == "STALE"
 
 
 def live(graph, folder, **diagnosis):

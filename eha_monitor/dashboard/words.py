@@ -199,7 +199,7 @@ def diagnosis_lines(view: state.View) -> list[str]:
 def local_times(finding: Finding) -> str:
     """Return a message with its times as all others on the page: of this machine's zone."""
     text = finding.message
-    for key in ("time_utc", "since_utc"):
+    for key in ("time_utc", "since_utc", "begins_utc"):
         when = str(finding.values.get(key) or "")
         with contextlib.suppress(ValueError):
             text = text.replace(when, clock_text(datetime.fromisoformat(when).timestamp()))

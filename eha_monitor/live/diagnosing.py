@@ -420,33 +420,37 @@ def answer_findings(answer: Answer | None) -> list[Finding]:
 
 
 def comparison_findings(answer: Answer | None, since: str, healthy: int, why: str = "",
-                        kept: bool = False) -> list[Finding]:
+                        kept: bool = False, begins: str = "") -> list[Finding]:
     """Return what has changed from the healthy recordings, and the indicators of health.
 
     Parameters
     ----------
     answer : of a comparison, None before the first.
-    since : from when on the compared rows are, ISO 8601.
+    since : from when on the compared rows are, or the machine is as it is now, ISO 8601.
     healthy : number of healthy recordings.
     why : what moved then; without an answer, why there is none.
     kept : whether its recording and its report are.
+    begins : when the rows begin, ISO 8601, where a change within them is dated.
     """
     if answer is None:
         return [Finding(MACHINE, "STALE", f"not yet compared with {healthy} healthy recordings"
                         + (f": {why}" if why else ""))]
     tree, values = answer.tree, {"since_utc": since, "why": why, "verdict": answer.verdict}
+    if begins:
+        values["begins_utc"] = begins
     if kept:
         values |= {"bag": str(answer.bags[0]), "report": str(answer.folder / "report.html")}
     if answer.verdict == "consistent":
         found = [Finding(MACHINE, "OK", tree["message"], values)]
     else:
-        found = [Finding(MACHINE, "WARN", f"changed since {since} ({why}): {tree['message']}",
-                         values)]
+        head = (f"changed at {since}, in the recording that begins at {begins}" if begins
+                else f"the rows since {since} ({why}) show a change")
+        found = [Finding(MACHINE, "WARN", f"{head}: {tree['message']}", values)]
     for one in tree["changes"]:
         before, now = one["reference"]["value"], one["now"]["value"]
         found.append(Finding(
             f"changed {one['what']} {one['parameter']}".strip(), "WARN",
-            f"{one['statement']}, since {since}",
+            f"{one['statement']}, in the rows since {since}",
             _number("healthy", one["reference"]) | _number("now", one["now"])
             | {"unit": one["unit"], "since_utc": since}
             | ({"change_percent": 100.0 * (now / before - 1.0)} if before and now and abs(

@@ -40,7 +40,7 @@ class Comparison:
     Raises
     ------
     InputError
-        If the file is none, or of another rig.
+        If the file is none, or of a rig of other areas, mass or pump.
     """
 
     def __init__(self, settings: Settings, keeper: Keeper, tell: Callable[[str, str], None],
@@ -50,14 +50,12 @@ class Comparison:
         self._file, self._settings = Path(settings.diagnosis.machine), settings
         self._keeper, self._tell, self._log_ns = keeper, tell, log_ns
         known = load(self._file, settings.rig)
-        if known.rig != settings.rig.name:
-            raise InputError(f"{self._file}: the machine of the rig {known.rig}, expected that of "
-                             f"{settings.rig.name} (rig.name)")
         self.findings: list[Finding] = comparison_findings(None, "", len(known.sources))
         self._healthy = len(known.sources)
         self._running: Diagnosing | None = None
         self._saving = False
         self._compared = (0.0, 0, "")  # as what was due
+        self._begins = 0  # log time of the rows that are compared, ns
         self._changed: set[str] = set()
         self.reset()
 
@@ -114,7 +112,8 @@ class Comparison:
             self._saving, self._last_s, self._compared = True, now_s, self._due
             latest = self._log_ns(now_s - max(LATEST_S, enough))
             begins = self._due[1] + (round(1e9 * MOVES_S) if self._again else 0)
-            self._keeper.save_since(max(begins, latest), self._saved)
+            self._begins = max(begins, latest)
+            self._keeper.save_since(self._begins, self._saved)
 
     def _saved(self, bag: Saved) -> None:
         if not self._saving:
@@ -153,14 +152,16 @@ class Comparison:
             forget(answer)
             return False
         # What has changed within the rows has changed there, and not where they begin.
-        within = max((one["since_s"] for one in answer.tree["change_points"]), default=0.0)
-        since = datetime.fromtimestamp(1e-9 * since_ns + within, UTC).isoformat(timespec="seconds")
+        points = [one["since_s"] for one in answer.tree["change_points"]]
+        begins = _iso(self._begins)
+        since = _iso(self._begins + 1e9 * max(points)) if points else _iso(since_ns)
         changed = {one["what"] for one in answer.tree["changes"]}
         if answer.verdict == "unexplained":
             changed = {"unexplained"}
         news, self._changed = changed != self._changed, changed
         kept = news and bool(changed)  # what says nothing new must not fill the disk
-        self.findings = comparison_findings(answer, since, self._healthy, why, kept)
+        self.findings = comparison_findings(answer, since, self._healthy, why, kept,
+                                            begins if points else "")
         if news:
             self._tell(self.findings[0].message, self.findings[0].level)
         if not kept:
@@ -173,6 +174,10 @@ class Comparison:
             self._running.end()
         COMPARING.give_back(self)
         self._running, self._saving, self._due, self._again = None, False, None, False
+
+
+def _iso(stamp_ns: float) -> str:
+    return datetime.fromtimestamp(1e-9 * stamp_ns, UTC).isoformat(timespec="seconds")
 
 
 def forget(answer: Answer) -> None:

@@ -204,6 +204,8 @@ def run_monitor(config: Path | None, ros_args: list[str], duration: float | None
                              "diagnosis.machine of each config")
         wanted = [(settings.model_copy(update={"diagnosis": settings.diagnosis.model_copy(
             update={"machine": str(machine)})}), source) for settings, source in wanted]
+    if not actuators:
+        running.refuse_another_rig(wanted[0][0])
     from eha_monitor.live.checks import Turns
     from eha_monitor.live.estimator import LiveEstimator
 

@@ -226,11 +226,33 @@ def actuators_of(given: tuple[str, ...]) -> list[tuple[Settings, str]]:
         if name in found:
             raise InputError(f"--actuator {text}: {name} exists already, expected another name")
         settings = load_settings(Path(config) if config else None)
+        refuse_another_rig(settings)
         found[name] = (settings.model_copy(update={
             "rig": settings.rig.model_copy(update={"name": name}),
             "monitor": settings.monitor.model_copy(update={"namespace": f"/{name}"})}),
             config or "default config")
     return list(found.values())
+
+
+def refuse_another_rig(settings: Settings) -> None:
+    """Refuse a machine file that was made of another rig than the config's.
+
+    By the name in the config: that of ``--actuator`` is no rig's, but a place's.
+
+    Raises
+    ------
+    InputError
+        With both names.
+    """
+    if not settings.diagnosis.machine:
+        return
+    from eha_monitor.balances.machine import load
+
+    file, name = Path(settings.diagnosis.machine), settings.rig.name
+    known = load(file, settings.rig)
+    if known.rig != name:
+        raise InputError(f"{file}: the machine of the rig {known.rig}, expected that of {name} "
+                         "(rig.name)")
 
 
 def check_apart(nodes: Sequence[Node]) -> None:
