@@ -19,7 +19,7 @@ from ros_tools import PATIENCE, REPOSITORY, Caller, Recorder, command, end, list
 from std_srvs.srv import Trigger
 
 from eha_monitor.balances.machine import save
-from eha_monitor.live.diagnosing import Adopted, model_of
+from eha_monitor.live.diagnosing import Adopted, Answer, effects_in_words, model_of
 from eha_monitor.ros.comparison import Comparison
 from eha_monitor.ros.messages import findings_of
 from eha_monitor.ros.monitor_node import Monitor
@@ -285,6 +285,18 @@ def test_an_actuator_is_a_place_and_takes_the_machine_of_its_config_s_rig(machin
     ((settings, _),) = actuators_of((f"left={config}",))
     assert (settings.rig.name, settings.monitor.namespace) == ("left", "/left")
     assert Comparison(settings, None, lambda *said: None, int).findings[0].level == "STALE"
+
+
+def test_what_no_config_holds_is_not_said_to_be_in_force(tmp_path):
+    """A feed-forward of the controller was, beside a gain that alone is worse than both."""
+    completed = settings_from_tree({"effects": {"coulomb_friction": {"F_c": 92.0}}}, "test")
+    answer = Answer("", tmp_path, (), {
+        "effects": [{"name": "feed_forward", "size": "168 rad/s"},
+                    {"name": "coulomb_friction", "size": "92 N"}],
+        "rig_data": [{"key": "position_gain"}]}, completed)
+    assert effects_in_words(answer) == (
+        "coulomb_friction (92 N) and rig.position_gain (without feed_forward, which no config "
+        "holds)")
 
 
 def live(graph, folder, **diagnosis):

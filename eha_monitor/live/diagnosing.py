@@ -361,17 +361,20 @@ _LEVELS = {"consistent": "OK", "mismatch": "WARN", "unexplained": "WARN"}
 
 
 def effects_in_words(answer: Answer) -> str:
-    """Return what an answer puts into the model: names with their sizes.
+    """Return what an answer puts into the model: names with their sizes, and what it cannot.
 
     Names are those of the catalogue, so that programs read them too.
     """
-    tree = answer.tree
-    return listed([
+    tree, completed = answer.tree, answer.completed
+    lacking = [] if completed is None else [
+        one["name"] for one in tree.get("effects", []) if one["name"] not in completed.effects]
+    words = listed([
         *(f"{one['name']} ({one['size']})" if one.get("size") else one["name"]
-          for one in tree.get("effects", [])),
+          for one in tree.get("effects", []) if one["name"] not in lacking),
         *(f"rig.{one['key']}" for one in tree.get("rig_data", [])),
         *(f"a learned term of the {one['balance']} balance" for one in tree.get("learned", []))
     ]) or "B and beta_e as found"
+    return words + (f" (without {listed(lacking)}, which no config holds)" if lacking else "")
 
 
 def model_finding(adopted: Adopted | None) -> Finding:
