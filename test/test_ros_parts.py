@@ -68,6 +68,14 @@ def test_a_joint_whose_messages_end_is_named(graph):
                             "piston" in each for each in monitor.data.problems))
 
 
+def test_the_end_of_all_messages_names_no_joint(graph):
+    monitor, estimator, send = apart(graph, monitor={"stale_after": 0.3})
+    send(0, 150)
+    graph.until(lambda: len(estimator.rows) == 150)
+    graph.until(lambda: any("nothing new for 0.3 s" in each for each in monitor.data.problems))
+    assert not [each for each in monitor.data.problems if "no entry" in each]
+
+
 def test_a_wrong_name_is_told(graph):
     monitor, _, send = apart(graph, names=("kolben", "pump"))
     send(0, 50)

@@ -81,6 +81,7 @@ class Stream:
         self.problem: str | None = None
         self.absent: str | None = None
         self.unfit: str | None = None
+        self._since = 0  # messages without it since the last with it
 
     def not_of(self, type_name: str, fields: Collection[str]) -> None:
         """Note where a type with these fields has none that is wanted."""
@@ -113,7 +114,11 @@ class Stream:
         last, end = np.flatnonzero(found)[-1:], len(found) - 1
         others = {name for layout, rows, _ in groups if not len(last) or rows[-1] > last[0]
                   for name in layout.names}
-        self.absent = self.lacks(sorted(others)) if apart and others else None
+        # Of messages of several joints one is always the last: that the others are not named in
+        # it says something only once it has come again.
+        self._since = end - int(last[0]) if len(last) else self._since + len(found)
+        self.absent = self.lacks(sorted(others)) if apart and self._since > len(others) > 0 else (
+            None)
         self.problem = None
         if found[end] and not number[end]:
             fields = ", ".join(channel.field for _, channel in self.entry.channels)
