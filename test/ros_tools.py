@@ -116,9 +116,9 @@ class Recorder:
 class Feeder:
     """Publishes the contract's inputs, sample by sample."""
 
-    def __init__(self, graph, namespace="/eha", names=("piston", "pump")):
+    def __init__(self, graph, namespace="/eha", names=("piston", "pump"), demand="piston"):
         node = graph.node("feeder", namespace)
-        self.graph, self.names = graph, names
+        self.graph, self.names, self.demand = graph, names, demand
         self.joints = node.create_publisher(JointState, "joint_states", BEST_EFFORT)
         self.command = node.create_publisher(JointState, "command", BEST_EFFORT)
         self.pressures = [node.create_publisher(FluidPressure, f"pressure/chamber_{i}",
@@ -136,7 +136,7 @@ class Feeder:
             joints = JointState(name=list(self.names),
                                 position=[values[n][0] for n in self.names],
                                 velocity=[values[n][1] for n in self.names])
-            command = JointState(name=["piston"], position=[0.002 * k])
+            command = JointState(name=[self.demand], position=[0.002 * k], velocity=[0.5])
             for publisher, message in ((self.joints, joints), (self.command, command)):
                 message.header.stamp = stamp
                 publisher.publish(message)

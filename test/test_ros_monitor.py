@@ -22,6 +22,7 @@ from eha_monitor.ros.parameters import (
     parameter_table,
     settings_of_node,
 )
+from eha_monitor.ros.subscriptions import DEMANDED, OPTIONAL
 from eha_monitor.ros.topics import LATCHED, topics_of
 from eha_monitor.settings import Settings, settings_from_tree
 
@@ -120,6 +121,16 @@ def test_a_missing_joint_is_diagnosed_and_the_rest_goes_on(graph):
     assert "omega" not in estimator.rows[-1][1] and "p1" in estimator.rows[-1][1]
     graph.until(lambda: any("no entry named 'pump', the message has piston" in problem
                             for problem in monitor.data.problems))
+
+
+def test_a_demand_that_a_rig_does_not_have_is_no_fault_where_the_speed_comes(graph):
+    """A speed loop demands the pump's speed in the topic in which others demand a position."""
+    monitor, estimator, sender = start(graph, demand="pump")
+    sender.send(0, 200)
+    graph.until(lambda: len(estimator.rows) == 200)
+    asked = next(each for each in monitor.inputs if each.topic.name == "command")
+    assert asked.messages and asked.problems(time.monotonic(), math.inf, OPTIONAL | DEMANDED) == []
+    assert asked.problems(time.monotonic(), math.inf, OPTIONAL)
 
 
 def test_a_joint_that_is_missing_again_is_named_again(graph):

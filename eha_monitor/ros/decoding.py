@@ -74,6 +74,7 @@ class Stream:
     problem : why the last message gave nothing, as a sentence, or None.
     absent : what came in place of an entry that has messages of its own, as a sentence, or None.
     unfit : why messages of this type give nothing, as a sentence, or None.
+    seen : a message held the entry.
     """
 
     def __init__(self, entry: Entry):
@@ -81,6 +82,7 @@ class Stream:
         self.problem: str | None = None
         self.absent: str | None = None
         self.unfit: str | None = None
+        self.seen = False
         self._since = 0  # messages without it since the last with it
 
     def not_of(self, type_name: str, fields: Collection[str]) -> None:
@@ -112,6 +114,7 @@ class Stream:
         apart : whether what one lacks is brought by others.
         """
         last, end = np.flatnonzero(found)[-1:], len(found) - 1
+        self.seen |= bool(len(last))
         others = {name for layout, rows, _ in groups if not len(last) or rows[-1] > last[0]
                   for name in layout.names}
         # Of messages of several joints one is always the last: that the others are not named in

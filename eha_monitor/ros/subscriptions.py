@@ -144,6 +144,9 @@ class TopicInput:
         for stream, entry in zip(self._streams, self.topic.entries, strict=True):
             silent = now - entry.source.heard_s > silent_after and not self.waits
             channels = ", ".join(channel for channel, _ in entry.channels)
+            if not stream.seen and self.messages and (
+                    DEMANDED & optional).issuperset(entry.source.channels):
+                continue  # a demand that this rig does not have, of a topic that carries others
             if stream.problem is not None or (silent and stream.absent is not None):
                 found.append(stream.problem or stream.absent)
             elif silent and not self.messages:
