@@ -32,6 +32,7 @@ from eha_monitor.settings.rig import Rig
 SHAPE = 0.5
 SPEEDS = 12  # over which friction may fall: a ratio of 1.4 from one to the next
 FALLS = 2  # that may stand together: what breaks away, and what falls on
+SINCE = 0.25, 0.5, 0.75  # of the seconds: dry friction may be another since
 SIGNS = np.array([0, 1, 0, 1])  # of load, inertia, damping, dry friction
 B = 2  # its column
 
@@ -42,7 +43,8 @@ def damping(course: Course, rig: Rig, known: np.ndarray, friction: float,
 
     The deviation holds the noise, the mixture of the falls and ``SHAPE``, how far B goes with
     parts of the motion (jackknife of ``BLOCK`` s: Efron 1982), and beside what else a law may have
-    where that fits better: a spring, damping by the square of speed, where quick a late channel.
+    where that fits better: a spring, damping by the square of speed, dry friction that becomes
+    another in these seconds, where quick a late channel.
 
     Parameters
     ----------
@@ -158,6 +160,9 @@ def _others(course: Course, held: bool) -> Iterator[np.ndarray]:
     """Yield what else a force may have, (m,), each of any size."""
     yield course.x - np.mean(course.x)
     yield course.v * np.abs(course.v) / max(course.speed, 1e-300)
+    at = np.linspace(0.0, 1.0, len(course))
+    for share in SINCE:
+        yield course.direction * (at > share)
     if held:
         yield course.direction
     if course.band > BAND:
