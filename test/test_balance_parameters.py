@@ -68,14 +68,14 @@ def test_a_missing_force_moves_b_by_no_more_than_it_says(motion, effects):
     assert abs(found.value - B) < 3.0 * found.stddev + 0.003 * B
 
 
-def falling_friction(speed, power, seed, fall=40.0, more=0.0, since=10.0):
+def falling_friction(speed, power, seed, fall=40.0, more=0.0, since=10.0, grows=False):
     """Return 20 s of F = 20 x'' + 1500 x' + (60 + fall exp(-|x'/speed|^power)) sgn x'.
 
-    And of ``more`` sgn x' from ``since`` s on.
+    And of ``more`` sgn x' from ``since`` s on; in a motion that ``grows``.
     """
     t, rng = np.arange(0.0, 20.0, 2e-3), np.random.default_rng(seed)
     x = sum(0.03 / k * np.sin(2.0 * np.pi * 0.15 * k * t + rng.uniform(0.0, 6.3))
-            for k in range(1, 5))
+            for k in range(1, 5)) * (0.3 + t / 15.0 if grows else 1.0)
     v = np.gradient(x, t)
     force = (20.0 * np.gradient(v, t) + 1500.0 * v + np.tanh(v / 2e-4)
              * (60.0 + fall * np.exp(-np.abs(v / speed) ** power) + more * (t > since)))
@@ -95,13 +95,14 @@ def test_friction_that_falls_with_speed_is_not_less_damping(speed, known_to, pow
     assert abs(found.value - 1500.0) < max(0.5 * abs(line.value - 1500.0), 15.0)
 
 
-@pytest.mark.parametrize("since", [4.0, 7.0, 10.0, 13.0, 16.0])
-@pytest.mark.parametrize("seed", [1, 4])
-def test_friction_that_rises_amid_the_seconds_is_not_damping(seed, since):
+@pytest.mark.parametrize("since", [5.0, 10.0])
+@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("more", [20.0, 60.0])
+def test_friction_that_rises_amid_the_seconds_is_not_damping(more, seed, since):
     """Live, 20 s over such a change read B 24 % too large, and were sure of it."""
-    found = parameters_of(falling_friction(0.003, 1.0, seed, 0.0, 60.0, since),
+    found = parameters_of(falling_friction(0.003, 1.0, seed, 0.0, more, since, grows=True),
                           MEASURED_FORCE)["B"]
-    assert abs(found.value - 1500.0) < 2.0 * found.stddev + 0.03 * 1500.0
+    assert abs(found.value - 1500.0) < 1.3 * found.stddev
 
 
 def test_that_friction_may_fall_costs_nothing_where_it_does_not():
