@@ -230,6 +230,7 @@ def test_csv_of_what_is_shown(rig):
     rows = list(csv.DictReader(io.StringIO(text.removeprefix("\ufeff"))))
     assert [float(row["viscous_damping [N·s/m]"]) for row in rows] == [605, 606, 607, 608]
     assert {row["bulk_modulus [Pa]"] for row in rows} == {"600000000"}
+    assert {row["bulk_modulus_in_doubt"] for row in rows} == {"0"}
     assert float(rows[0]["time_s"]) == pytest.approx(today - 4.0, abs=0.002)
     assert estimates_csv(rig.state, rig.now, today + 5.0).count("\n") == 1  # nothing: the header
 

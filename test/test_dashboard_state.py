@@ -196,9 +196,30 @@ def test_numbers_as_people_write_them(value, stddev, scale, shown):
 
 def test_the_band_is_the_number_beside_it():
     for stddev, band in ((5e6, 5.0), (3e4, 0.18)):  # MPa; the number reads 600.0 ± 0.2
-        chart = charts.estimate_data([(0.0, 6e8, stddev)], [], Scale(1e-6, "MPa"), (0.0, 1.0))
+        chart = charts.estimate_data([(0.0, 6e8, stddev, 0.0)], [], Scale(1e-6, "MPa"), (0.0, 1.0))
         lower, width, value = (series["data"][0][1] for series in chart["series"][:3])
         assert (value - lower, width) == (pytest.approx(band), pytest.approx(2 * band))
+
+
+@pytest.mark.parametrize("said, doubted", [
+    ({}, False), ({"in_doubt": "1"}, True), ({"in_doubt": "1", "by_least_squares": "1"}, False)])
+def test_what_is_in_doubt_is_drawn_apart_and_stretches_no_axis(state, said, doubted):
+    """3100 of a stage beside 1440 by least squares had been one unbroken line through a limit."""
+    values = {key: value for key, value in said.items() if key != "by_least_squares"}
+    alarm = {key: value for key, value in said.items() if key == "by_least_squares"}
+    for k, value in enumerate((1440.0, 3100.0)):
+        found = [Finding("stage_one", "WARN", "", values if k else {}),
+                 Finding("viscous_damping_high", "OK", "", alarm if k else {})]
+        state.take_findings("eha", found, float(k))
+        state.take_value("B", value, float(k))
+        state.take_stddev("B", 5.0, float(k))
+    rows = state.history("B", 2.0)
+    assert [row[3] for row in rows] == [0.0, float(doubted)]
+    drawn = charts.estimate_data(rows, [], Scale(1.0, "N·s/m"), (0.0, 2.0))
+    lines = {one["id"]: [y for _, y in one["data"]] for one in drawn["series"] if "data" in one}
+    assert lines["value"] == [1440.0, None if doubted else 3100.0]
+    assert lines["doubted"] == [None, 3100.0 if doubted else None]
+    assert (drawn["yAxis"]["max"] < 3000.0) == doubted
 
 
 def test_units_follow_the_rig():

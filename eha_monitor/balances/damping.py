@@ -17,6 +17,7 @@ from eha_monitor.balances.bends import FALL
 from eha_monitor.balances.candidates import fall_speeds
 from eha_monitor.balances.course import BAND, Course, slope
 from eha_monitor.balances.least_squares import (
+    beside,
     independent,
     inverse_of,
     rms,
@@ -100,15 +101,12 @@ class _Fits:
     def __init__(self, y: np.ndarray, place: int, counted: np.ndarray):
         self.y, self.place, self.counted = y, place, counted
 
-    def weights(self, columns: np.ndarray) -> np.ndarray:
-        return weights_of(columns.T @ columns, columns.T @ self.y)
-
     def at(self, columns: np.ndarray) -> float:
         """Return B."""
-        return float(self.weights(columns)[self.place])
+        return float(weights_of(columns.T @ columns, columns.T @ self.y)[self.place])
 
     def left(self, columns: np.ndarray) -> np.ndarray:
-        return self.y - columns @ self.weights(columns)
+        return beside(self.y, columns)
 
     def alike(self, left: np.ndarray) -> float:
         """Return how many samples of what is left count as one."""

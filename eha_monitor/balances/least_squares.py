@@ -140,6 +140,11 @@ def weights_of(gram: np.ndarray, side: np.ndarray) -> np.ndarray:
     return (minimum_norm(gram / np.outer(size, size), (side.T / size).T).T / size).T
 
 
+def beside(values: np.ndarray, columns: np.ndarray) -> np.ndarray:
+    """Return what no combination of columns (n, k) makes of values, (n,)."""
+    return values - columns @ weights_of(columns.T @ columns, columns.T @ values)
+
+
 def inverse_of(gram: np.ndarray) -> np.ndarray:
     """Return the inverse of a Gram matrix, (k, k); infinite variances where there are no data."""
     size = np.sqrt(np.maximum(np.diag(gram), 1e-300))

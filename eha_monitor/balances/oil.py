@@ -18,6 +18,7 @@ import numpy as np
 from eha_monitor.balances.baseline import BalanceFit, Term, fitted
 from eha_monitor.balances.candidates import oil_pressed, swallowed
 from eha_monitor.balances.course import Course, slope
+from eha_monitor.balances.least_squares import beside, rms
 from eha_monitor.balances.table import areas_apart, displaced, flow_columns
 from eha_monitor.balances.together import pooled
 from eha_monitor.settings.rig import Rig
@@ -120,8 +121,7 @@ def _within(course: Course, rig: Rig) -> Term | None:
 
 def _own(rows: np.ndarray) -> float:
     """Return the rms of what no other column makes of the first."""
-    shares = np.linalg.lstsq(rows[:, 1:], rows[:, 0], rcond=None)[0]
-    return float(np.sqrt(np.mean((rows[:, 0] - rows[:, 1:] @ shares) ** 2)))
+    return rms(beside(rows[:, 0], rows[:, 1:]))
 
 
 @dataclass(frozen=True)

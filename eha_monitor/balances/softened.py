@@ -6,6 +6,7 @@ import numpy as np
 
 from eha_monitor.balances.candidates import SIDES
 from eha_monitor.balances.course import Course
+from eha_monitor.balances.least_squares import beside
 from eha_monitor.balances.oil import clearest, flow_of
 from eha_monitor.balances.places import binned
 from eha_monitor.mismatch.diagnosis import Curve, SignalFit
@@ -34,9 +35,7 @@ def softened(courses: Sequence[Course], rig: Rig, healthy: float, now: float
         fit, pressed = min(fits, key=lambda one: one[0].error_share)
         rows = balance.rows(balance.flow, pressed, *(column[-1] for column in balance.columns),
                             *balance.off)
-        others = rows[:, 2:] / np.maximum(np.abs(rows[:, 2:]).max(axis=0), 1e-300)
-        rest = rows[:, 0] + now * rows[:, 1]
-        rest = rest - others @ np.linalg.lstsq(others, rest, rcond=None)[0]
+        rest = beside(rows[:, 0] + now * rows[:, 1], rows[:, 2:])
         taken = (healthy - now) * rows[:, 1]
         rates.append(rows[:, 1] / rig.volume_1)
         missing.append(rest + taken)

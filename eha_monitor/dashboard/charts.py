@@ -15,7 +15,7 @@ import numpy as np
 from eha_monitor.dashboard.state import POSITION_SPAN, STAGES, Row
 from eha_monitor.quantity import FLOOR, Scale, readable
 
-_INK, _LINE, _MEASURED = "#37474f", "#1565c0", "#6d4c41"
+_INK, _LINE, _MEASURED, _DOUBTED = "#37474f", "#1565c0", "#6d4c41", "#78909c"
 _BAND = "rgba(21, 101, 192, 0.18)"
 _LIMIT_COLOURS = {"WARN": "#b26a00", "ERROR": "#b3261e"}
 _STAGE_COLOURS = ("#1565c0", "#b34700")  # apart for every kind of colour vision
@@ -97,8 +97,11 @@ def estimate_frame(scale: Scale) -> dict:
         _line("lower", "", _LINE) | edge,
         _line("width", "±1σ", _BAND) | edge | filled,
         _line("value", "estimate", _LINE),
+        _line("doubted", "in doubt", _DOUBTED, lineStyle={
+            "color": _DOUBTED, "width": 1.5, "type": "dotted"}),
         _line("limits", "", _INK)]
-    legend = ["estimate", {"name": "±1σ", "icon": "rect", "itemStyle": {"opacity": 1}}]
+    legend = ["estimate", {"name": "±1σ", "icon": "rect", "itemStyle": {"opacity": 1}},
+              "in doubt"]
     return _zoomable(_frame(_time_of_day(), scale.unit, series, legend))
 
 
@@ -108,23 +111,27 @@ def estimate_data(rows: list[Row], limits: list[tuple[str, str, float]], scale: 
 
     Parameters
     ----------
-    rows : (time of day s, value, stddev), SI.
+    rows : (time of day s, value, stddev, 1 where it is in doubt), SI.
     limits : side (``low``, ``high``), degree and SI value of each threshold.
     ends : of the time axis, time of day, s.
     """
     zone = zone_s()
     marks = [_limit_mark(side, degree, limit * scale.factor) for side, degree, limit in limits]
     values = [(_milliseconds(t, zone), value * scale.factor,
-               scale.factor * max(stddev, FLOOR * abs(value))) for t, value, stddev in rows]
-    sure = [v for _, v, s in values if s < _UNSURE * abs(v)]
+               scale.factor * max(stddev, FLOOR * abs(value)), doubt != 0.0)
+              for t, value, stddev, doubt in rows]
+    # What is in doubt stretches no axis, unless there is nothing else.
+    sure = [v for _, v, s, doubt in values if s < _UNSURE * abs(v) and not doubt] or [
+        v for _, v, s, _ in values if s < _UNSURE * abs(v)]
     low, high = value_range(sure, (mark["yAxis"] for mark in marks))
     return {
         "xAxis": _time_range(ends, zone),
         "yAxis": {"min": low, "max": high},
         "series": [
-            {"id": "lower", "data": [[t, _round(v - s)] for t, v, s in values]},
-            {"id": "width", "data": [[t, _round(2 * s)] for t, v, s in values]},
-            {"id": "value", "data": [[t, _round(v)] for t, v, _ in values]},
+            {"id": "lower", "data": [[t, _shown(v - s, not d)] for t, v, s, d in values]},
+            {"id": "width", "data": [[t, _shown(2 * s, not d)] for t, v, s, d in values]},
+            {"id": "value", "data": [[t, _shown(v, not d)] for t, v, _, d in values]},
+            {"id": "doubted", "data": [[t, _shown(v, d)] for t, v, _, d in values]},
             {"id": "limits", "markLine": {"symbol": "none", "silent": True, "data": marks}}]}
 
 
@@ -217,6 +224,10 @@ def position_data(histories: dict[str, list[Row]], scale: Scale) -> dict:
     return {"series": [
         {"id": name, "data": [[_round(t - last), _round(x * scale.factor)] for t, x in rows]}
         for name, rows in histories.items()]}
+
+
+def _shown(value: float, here: bool) -> float | None:
+    return _round(value) if here else None
 
 
 def _round(value: float) -> float | None:

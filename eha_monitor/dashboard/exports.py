@@ -47,7 +47,8 @@ def estimates_csv(state: State, now: float, since: float = -math.inf,
     for watched in WATCHED:
         unit = units[watched.symbol]
         series.append((len(header) - 2, state.history(watched.symbol, now, since)))
-        header += [f"{watched.section} [{unit}]", f"{watched.section}_stddev [{unit}]"]
+        header += [f"{watched.section} [{unit}]", f"{watched.section}_stddev [{unit}]",
+                   f"{watched.section}_in_doubt"]
     for stage in STAGES:
         series.append((len(header) - 2, state.history(stage, now, since)))
         header += [f"{stage}_innovation_nis", f"{stage}_innovation_variance_ratio"]

@@ -3,7 +3,7 @@
 import math
 import threading
 from collections import deque
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from itertools import groupby
 from pathlib import Path
@@ -273,7 +273,8 @@ class State:
             self._stddevs[symbol] = _Number(stddev, now)
             value = self._values[symbol].value
             if math.isfinite(value) and math.isfinite(stddev):
-                self._histories[symbol].add(now, value, stddev)
+                self._histories[symbol].add(now, value, stddev, float(
+                    in_doubt(self._findings, symbol)))
 
     def take_position(self, which: str, time_s: float, position: float, now: float) -> None:
         """Take the ``measured`` or ``estimated`` position, m, with its own stamp, s."""
@@ -429,8 +430,8 @@ class State:
     def history(self, name: str, now: float, since: float = -math.inf) -> list[Row]:
         """Return the rows of a symbol or a stage.
 
-        Symbols: (time of day s, value, stddev); stages: (time of day s, normalised innovation
-        squared, variance ratio).
+        Symbols: (time of day s, value, stddev, 1 where it is in doubt, else 0); stages: (time of
+        day s, normalised innovation squared, variance ratio).
 
         Parameters
         ----------
@@ -487,6 +488,19 @@ class Actuator:
     domain: int
     state: State
     topics: dict[str, str]
+
+
+def in_doubt(findings: Mapping[str, Finding], symbol: str) -> bool:
+    """Tell whether the value of a parameter must not be used, as the monitor's health says.
+
+    Its stage's is in doubt, and no least squares stand in its place.
+    """
+    stage, watched = next((stage, watched) for stage, watched in zip(STAGES, WATCHED, strict=True)
+                          if watched.symbol == symbol)
+    own = findings.get(stage)
+    return own is not None and bool(int(own.values.get("in_doubt") or 0)) and not any(
+        int(one.values.get("by_least_squares") or 0) for name, one in findings.items()
+        if name.startswith(watched.section))
 
 
 def alarms(view: View) -> list[Finding]:

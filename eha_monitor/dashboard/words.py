@@ -9,7 +9,7 @@ from datetime import datetime
 from eha_monitor.dashboard import state
 from eha_monitor.dashboard.events import ACKNOWLEDGED
 from eha_monitor.estimation.results import units_of
-from eha_monitor.health.alarms import NO_LIMIT, NOT_JUDGED, SEVERITY
+from eha_monitor.health.alarms import NO_LIMIT, NOT_JUDGED, SEVERITY, WATCHED
 from eha_monitor.health.judge import DIAGNOSIS, MACHINE, MODEL_IN_FORCE, Finding
 from eha_monitor.quantity import SYMBOLS, Scale, number, readable, with_uncertainty
 from eha_monitor.settings import Settings
@@ -217,13 +217,15 @@ def estimate_status(view: state.View, section: str, stage: str) -> tuple[str, bo
     status = str(finding.values.get("status", "")) if finding else ""
     if finding is None or not status:
         return "no data yet", False
-    words, doubted = _STATUS_WORDS.get(status, status), False
-    judged = next((one.values for name, one in view.findings.items()
-                   if name.startswith(section) and int(one.values.get("tainted") or 0)), {})
-    if judged:
-        doubted = not int(judged.get("by_least_squares") or 0)
-        words = ("in doubt: the model does not fit" if doubted
-                 else "by least squares: the model does not fit")
+    words, symbol = _STATUS_WORDS.get(status, status), next(
+        one.symbol for one in WATCHED if one.section == section)
+    doubted = state.in_doubt(view.findings, symbol)
+    misfit = any(name.startswith(section) and int(one.values.get("tainted") or 0)
+                 for name, one in view.findings.items())
+    if misfit or doubted:
+        words = "by least squares: the model does not fit" if not doubted else (
+            "in doubt: the model does not fit" if misfit else
+            "in doubt: nothing has tested the model yet")
     return (f"{words} (last heard)" if finding.level == "STALE" else words), doubted
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from eha_monitor.draft.answers import FLOWS, Answers, flow_at
 from eha_monitor.errors import InputError
-from eha_monitor.plausibility.relations import FED
+from eha_monitor.plausibility.relations import FORWARD
 from eha_monitor.quantity import quantity
 from eha_monitor.settings.rig import Rig
 
@@ -454,7 +454,7 @@ def _loop_gain(omega: np.ndarray, demand: np.ndarray, error: np.ndarray, step: f
 
     alone, left = fitted(error, -rate)
     fed, less = fitted(error, -rate, led)
-    if fed[0] > 0.0 and less < FED * left:
+    if fed[0] > 0.0 and less < FORWARD * left:
         return Gain(float(fed[0]), 1.0 - less, float(fed[2]))
     return Gain(float(alone[0]), 1.0 - left)
 

@@ -159,7 +159,7 @@ SPREAD = {"mass": 0.15, "damping": 0.7, "guessed": 2.0, "flow": 0.10, "drive": 0
 OTHER_CLOCK = 6.0
 OIL = (5e6, 5e9)  # Pa: no oil is stiffer, and none softer that still moves a piston
 NOTHING = 300.0  # times the mass, which no two mistakes make of one
-FED = 0.1  # of what a gain leaves of the speed, that a feed-forward beside it leaves
+FORWARD = 0.1  # of what a gain leaves of the speed, that a feed-forward beside it leaves
 SLIGHT = 0.02  # of the motion: a lag below this may be a feed-forward's lead
 # A relation whose left side is explained but for a share u counts FIT ln u: as many independent
 # samples as a motion has corners, not as many as the recording has.
@@ -359,7 +359,7 @@ def drive(reading: Reading) -> Check | None:
         return None
     # Most controllers feed the demand's own rate forward, and the error is then a small rest.
     led = ratio(reading, speed, error, lag, reading.column("x_d", 1))
-    if led is not None and 1.0 - led.share < FED * (1.0 - found.share):
+    if led is not None and 1.0 - led.share < FORWARD * (1.0 - found.share):
         return slope_check("drive", led, "the pump's speed beside a feed-forward",
                            "K_pos (x_d - x)", SPREAD["fed"])
     return slope_check("drive", found, "the pump's speed", "K_pos (x_d - x)")
