@@ -62,11 +62,12 @@ def parameters_of(recording: Recording, settings: Settings) -> dict[str, Paramet
         damped += [] if one is None else [one]
     if damped:
         value, stddev = damped[0]  # no better known than it is the same in a wider band
-        found["B"] = ONE.judged(settings, value, float(np.hypot(stddev, value - damped[-1][0])))
+        stddev = float(np.hypot(stddev, value - damped[-1][0]))
+        found["B"] = ONE.by_balance(settings, value, stddev)
     soft = None if motion is None else compressibility(
         *of_one_machine([motion], settings.rig), settings.rig)
     if soft is not None:
-        found["beta_e"] = TWO.judged(settings, 1.0 / soft.value, soft.stddev / soft.value**2)
+        found["beta_e"] = TWO.by_balance(settings, 1.0 / soft.value, soft.stddev / soft.value**2)
     return found
 
 

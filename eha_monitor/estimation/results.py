@@ -444,6 +444,18 @@ class Stage:
         return judge_parameter(self.parameter, value, stddev, self.unit(settings), prior.prior,
                                prior.prior_stddev, getattr(prior, "largest", math.inf))
 
+    def by_balance(self, settings: Settings, value: float, stddev: float) -> ParameterEstimate:
+        """Return the parameter of least squares with its status; they begin with no prior."""
+        found = judge_parameter(self.parameter, value, stddev, self.unit(settings), 0.0, math.inf,
+                                getattr(self.prior(settings), "largest", math.inf))
+        if found.status != "not_excited":
+            return found
+        shown = with_uncertainty(value, stddev, found.unit)
+        beside = "dry friction" if self.key == "one" else "leakage and what the pump loses"
+        return replace(found, message=(
+            f"the motion does not tell {SYMBOLS.get(self.parameter, self.parameter)}, {shown}, "
+            f"from {beside}"))
+
     def no_data(self, settings: Settings, reason: str) -> ParameterEstimate:
         """Return the parameter without a number."""
         return no_data(self.parameter, self.unit(settings), reason)
