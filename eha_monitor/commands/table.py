@@ -139,10 +139,14 @@ def _estimated(found: Estimate) -> Table:
         if p.status == "converged" and doubted:
             value, status = f"[dim]({p.shown})[/]", "converged, [yellow]in doubt[/]"
         shown.add_row(estimator, SYMBOLS.get(p.name, p.name), value, status)
+    looked = found.beside[-1].parameters if found.beside else {}
     for name, taint in found.model.tainted.items():
+        row = f"{BALANCES[name]} balance", SYMBOLS.get(name, name)
         if taint.instead:
-            shown.add_row(f"{BALANCES[name]} balance", SYMBOLS.get(name, name),
-                          taint.instead.shown, "[green]least squares[/], used by the alarms")
+            shown.add_row(*row, taint.instead.shown, "[green]least squares[/], used by the alarms")
+        elif name in looked and math.isfinite(looked[name].value):
+            shown.add_row(*row, f"[dim]({looked[name].shown})[/]",
+                          f"least squares, not determined: {looked[name].message}")
     return shown
 
 

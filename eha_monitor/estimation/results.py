@@ -450,11 +450,9 @@ class Stage:
                                 getattr(self.prior(settings), "largest", math.inf))
         if found.status != "not_excited":
             return found
-        shown = with_uncertainty(value, stddev, found.unit)
         beside = "dry friction" if self.key == "one" else "leakage and what the pump loses"
         return replace(found, message=(
-            f"the motion does not tell {SYMBOLS.get(self.parameter, self.parameter)}, {shown}, "
-            f"from {beside}"))
+            f"the motion does not tell {SYMBOLS.get(self.parameter, self.parameter)} from {beside}"))
 
     def no_data(self, settings: Settings, reason: str) -> ParameterEstimate:
         """Return the parameter without a number."""
