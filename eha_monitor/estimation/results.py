@@ -451,8 +451,8 @@ class Stage:
         if found.status != "not_excited":
             return found
         beside = "dry friction" if self.key == "one" else "leakage and what the pump loses"
-        return replace(found, message=(
-            f"the motion does not tell {SYMBOLS.get(self.parameter, self.parameter)} from {beside}"))
+        symbol = SYMBOLS.get(self.parameter, self.parameter)
+        return replace(found, message=f"the motion does not tell {symbol} from {beside}")
 
     def no_data(self, settings: Settings, reason: str) -> ParameterEstimate:
         """Return the parameter without a number."""
