@@ -61,8 +61,9 @@ def parameters_of(recording: Recording, settings: Settings) -> dict[str, Paramet
         one = _damping(course, settings)
         damped += [] if one is None else [one]
     if damped:
-        value, stddev = damped[0]  # no better known than it is the same in a wider band
-        stddev = float(np.hypot(stddev, value - damped[-1][0]))
+        # Of the band in which it is surest, and no better known than it is the same in the other.
+        value, stddev = min(damped, key=lambda one: one[1])
+        stddev = float(np.hypot(stddev, np.ptp([one[0] for one in damped])))
         found["B"] = ONE.by_balance(settings, value, stddev)
     soft = None if motion is None else compressibility(
         *of_one_machine([motion], settings.rig), settings.rig)
