@@ -16,6 +16,7 @@ from eha_monitor.live.rows import RowAligner, Source
 
 MS = 1_000_000
 LOOK = 200  # samples
+DRAIN = 8  # samples: the monitor's drain takes some at a time as well
 
 
 class Rig:
@@ -41,8 +42,9 @@ class Rig:
     def send(self, count, spoil=lambda k, name, values: [(0, values)], rate=1.0):
         """Send samples; ``spoil`` returns for each (stamp's offset in ms, values) to be sent."""
         for _ in range(count):
+            sample = self.values(self.k)
             for name, source in (("x", self.x), ("p1", self.p), ("x_d", self.x_d)):
-                for offset, values in spoil(self.k, name, self.values(self.k)[name]):
+                for offset, values in spoil(self.k, name, sample[name]):
                     if values is None:
                         self.aligner.unread(source, empty=True)
                     else:
@@ -50,7 +52,8 @@ class Rig:
                         self.aligner.push(source, stamp, values, self.now)
             self.k += 1
             self.now += 1e-3
-            self.take()
+            if self.k % DRAIN == 0:
+                self.take()
             if self.aligner.reset_reason:
                 self.watch.restart(self.aligner.take_reset(), self.now)
                 self.take()
