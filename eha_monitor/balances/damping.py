@@ -12,6 +12,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from eha_monitor import ties
 from eha_monitor.balances.baseline import BETTER, BLOCK
 from eha_monitor.balances.bends import FALL
 from eha_monitor.balances.candidates import fall_speeds
@@ -40,7 +41,7 @@ B = 2  # its column
 
 def damping(course: Course, rig: Rig, known: np.ndarray, friction: float,
             held: bool = False) -> tuple[float, float] | None:
-    """Return B and its standard deviation, N·s/m; None where the motion does not determine it.
+    """Return B and its standard deviation, SI; None where the motion does not determine it.
 
     The deviation holds the noise, the mixture of the falls and ``SHAPE``, how far B goes with
     parts of the motion (jackknife of ``BLOCK`` s: Efron 1982), and beside what else a law may have
@@ -81,7 +82,7 @@ def damping(course: Course, rig: Rig, known: np.ndarray, friction: float,
         values, variances, logs = np.array(found).T
         if stands == FALLS or logs.max() < 0.5 * BETTER:
             break
-        base = np.column_stack([base, ways[:, int(np.argmax(logs)) - 1]])
+        base = np.column_stack([base, ways[:, ties.largest(logs, ties.GUESS) - 1]])
         noise = min(noise, fits.noise(base))
     odds = np.exp(logs - logs.max())
     odds /= odds.sum()

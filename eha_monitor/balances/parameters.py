@@ -14,6 +14,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from eha_monitor import ties
 from eha_monitor.balances.course import BANDS, Course
 from eha_monitor.balances.damping import damping
 from eha_monitor.balances.measured import course_within
@@ -62,7 +63,7 @@ def parameters_of(recording: Recording, settings: Settings) -> dict[str, Paramet
         damped += [] if one is None else [one]
     if damped:
         # Of the band in which it is surest, and no better known than it is the same in the other.
-        value, stddev = min(damped, key=lambda one: one[1])
+        value, stddev = ties.best(damped, lambda one: -one[1])
         stddev = float(np.hypot(stddev, np.ptp([one[0] for one in damped])))
         found["B"] = ONE.by_balance(settings, value, stddev)
     soft = None if motion is None else compressibility(
@@ -91,7 +92,7 @@ def _damping(course: Course, settings: Settings) -> tuple[float, float] | None:
     known = course.known["force"] - rig.mass * course.a
     ways = [found for held in (True, False) if (found := damping(
         course, rig, known, _friction(settings), held)) is not None]
-    return min(ways, key=lambda way: way[1], default=None)
+    return ties.best(ways, lambda way: -way[1]) if ways else None
 
 
 def _friction(settings: Settings) -> float:
