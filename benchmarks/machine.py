@@ -162,21 +162,20 @@ def strangers(seed: int, rigs: int) -> dict:
         for one in machine.balances:
             model = of_machine(one, courses, settings.rig, machine.scale, POLICY)
             print(f"  {rig.name} {rig.kind} {rig.law}: {one.balance} "
-                  + ", ".join(f"{p.name} {p.value:.4g} ± {model[p.name].stddev:.2g}"
-                              for p in one.parameters)
+                  + ", ".join(f"{t.candidate.name} {t.value:.4g} ± {t.stddev:.2g}"
+                              for t in model.terms)
                   + f"; error {one.unexplained:.3f}, reference {rms(one.reference):.3f}; B "
                   f"{low:.0f} to {high:.0f}, effects "
                   + ", ".join(e["name"] for e in truths[0]["effects"]))
-            for p in one.parameters:
+            for name, found in (("B", inside["B"]), ("D_p", inside["D_p"])):
+                term = model[name]
+                if term is None:
+                    continue
                 # As an answer states it: with what no longer record tells, the area's tolerance.
-                term = model[p.name]
                 reach = 2 * float(np.linalg.norm((term.between, term.stddev, error_of_area(
-                    settings.rig, one.balance) * p.value)))
-                if p.name == "B":
-                    inside["B"].append(low - reach <= p.value <= high + reach)
-                if p.name == "D_p":
-                    true = rig.plant.displacement_1
-                    inside["D_p"].append(abs(p.value - true) <= reach)
+                    settings.rig, one.balance) * term.value)))
+                least, most = (low, high) if name == "B" else (rig.plant.displacement_1,) * 2
+                found.append(least - reach <= term.value <= most + reach)
             for s in one.settings:
                 if s.name == "F_0":
                     inside["F_0"] += [abs(v - t["load"]) <= max(2 * d, 0.02 * abs(t["load"]))
