@@ -157,9 +157,10 @@ def test_the_oil_of_an_inertial_motion_is_as_stiff_as_it_is(dt):
 
 def test_air_that_no_balance_owes_two_per_cent_to_is_a_change_of_the_oil():
     """Soft oil makes a thousandth of the flow at a slow motion; healthy recordings agree in it."""
-    def recorded(seed, beta):
+    def recorded(seed, beta, faults=None):
         shape = {**MULTISINE, "frequency_end": 4.0, "seed": seed}
-        return simulated(shape, 20.0, rig={"bulk_modulus": beta}).recording(seed)
+        return simulated(shape, 20.0, rig={"bulk_modulus": beta},
+                         faults=faults or {}).recording(seed)
 
     healthy = [recorded(seed, BETA) for seed in range(5)]
     machine = healthy_machine(healthy, settings())
@@ -169,6 +170,14 @@ def test_air_that_no_balance_owes_two_per_cent_to_is_a_change_of_the_oil():
     assert [one.what for one in soft.changes] == ["beta_e"], soft.message
     assert soft.changes[0].now.value == pytest.approx(0.4 * BETA, rel=0.1)
     assert against(machine, [recorded(8, BETA)], settings(), ()).verdict == "consistent"
+    # Nor does a force that no number describes hide it: B that steps amid the recording.
+    steps = {"wear": {"parameter": "viscous_damping", "start": 10.0, "value": 1.5 * B}}
+    both = against(machine, [recorded(7, 0.4 * BETA, steps)], settings(), ())
+    (oil,) = both.changes
+    assert oil.what == "beta_e" and abs(oil.now.value - 0.4 * BETA) < 2.0 * oil.now.stddev
+    assert "something else has changed as well" in both.message
+    stepped = against(machine, [recorded(8, BETA, steps)], settings(), ())
+    assert stepped.verdict == "unexplained" and not stepped.changes
 
 
 @pytest.mark.parametrize("lacking", [("omega",), ("p1",), ("x",)])

@@ -83,7 +83,10 @@ def against(machine: Machine, recordings: Sequence[Recording], settings: Setting
     if sensor:
         verdict, changes = "mismatch", (*changes, *sensor)
     oil = None if any(one.what == "beta_e" for one in changes) else _oil(machine, stiffness)
-    if oil is not None and {one.balance for one in judged.loud} <= {"flow"}:
+    loud = {one.balance for one in judged.loud}
+    if oil is not None and verdict == "unexplained" and "flow" not in loud:
+        verdict, changes = "mismatch", (oil,)  # and something else as well
+    elif oil is not None and loud <= {"flow"}:
         softer = judged if changes else _with_oil(machine, judged, stiffness, rig)
         if softer is not None:
             verdict, changes, judged = "mismatch", (*changes, oil), softer
