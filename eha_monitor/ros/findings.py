@@ -156,11 +156,12 @@ def _mismatch(model: ModelStatus, consistency: dict[str, Consistency | None],
                "since_s": float(first.since_s)}
     doubted = [w.words for w in WATCHED if values[f"{w.section}_tainted"]]
     in_doubt = f"; in doubt: {' and '.join(doubted)}" if doubted else ""
-    what = ADVICE
-    if diagnosed is not None:
-        values["diagnosed"], what = diagnosed.verdict, f"its diagnosis: {diagnosed.words}"
-    return Finding(MISMATCH, "WARN", f"the model does not fit since t = {first.since_s:.1f} s: "
-                   f"{model.message}{in_doubt}; {what}", values)
+    why, what = f": {model.message}", ADVICE
+    if diagnosed is not None:  # which says why
+        values["diagnosed"] = diagnosed.verdict
+        why, what = "", f"its diagnosis: {diagnosed.words}"
+    return Finding(MISMATCH, "WARN", f"the model does not fit since t = {first.since_s:.1f} s"
+                   f"{why}{in_doubt}; {what}", values)
 
 
 def _last(event: Event | None) -> dict[str, float | str]:
