@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.parameter import Parameter
-from ros_tools import MS, START_NS, Recorder, levels, listen, start
+from ros_tools import BEST_EFFORT, MS, START_NS, Recorder, levels, listen, start
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float32, Float64
 
@@ -131,6 +131,30 @@ def test_a_demand_that_a_rig_does_not_have_is_no_fault_where_the_speed_comes(gra
     asked = next(each for each in monitor.inputs if each.topic.name == "command")
     assert asked.messages and asked.problems(time.monotonic(), math.inf, OPTIONAL | DEMANDED) == []
     assert asked.problems(time.monotonic(), math.inf, OPTIONAL)
+
+
+def test_two_publishers_of_one_topic_are_named_where_its_stamps_are_mixed(graph):
+    """Another node that publishes beside is no fault; one that publishes the same is."""
+    monitor, estimator, sender = start(graph)
+    other = graph.node("logger", "/eha").create_publisher(JointState, "joint_states", BEST_EFFORT)
+    graph.until(other.get_subscription_count)
+    sent = [0]
+
+    def send(twice):
+        first = sent[0]
+        sent[0] += 50
+        sender.send(first, 50)
+        for k in range(first, first + 50 * twice):
+            message = JointState(name=["piston"], position=[0.001 * k], velocity=[0.5])
+            message.header.stamp = messages.stamp(START_NS + k * MS)
+            other.publish(message)
+
+    for _ in range(4):
+        send(False)
+        graph.until(lambda: len(estimator.rows) == sent[0])
+    assert not [each for each in monitor.data.problems if "publishers" in each]
+    said = "/eha/joint_states: 2 publishers, /eha/feeder and /eha/logger"
+    graph.until(lambda: said in monitor.data.problems or send(True))
 
 
 def test_a_joint_that_is_missing_again_is_named_again(graph):

@@ -20,6 +20,8 @@ from eha_monitor.recordings.recording import LARGEST, LIMITS
 HELD_S = 3.0
 # So many samples, and so large a share of them, make a fault; one message in thousands is none.
 FEW = 3
+# What two sources that use one topic look like; ends of sentences.
+MIXED = ("are duplicates and left out", "came out of order, behind later ones, and are left out")
 SHARE = 0.005
 # A step between stamps longer than this, in usual steps, lacks samples.
 GAP = 1.5
@@ -396,12 +398,10 @@ class FaultWatch:
         all_ = source.taken - past.counts.taken + late + repeated
         if _many(repeated, all_):
             self.note(f"repeat {source.name}", now,
-                      f"{source.name}: stamps repeat, {repeated} of {all_} messages are "
-                      "duplicates and left out")
+                      f"{source.name}: stamps repeat, {repeated} of {all_} messages {MIXED[0]}")
         if _many(late, all_):
             self.note(f"order {source.name}", now,
-                      f"{source.name}: {late} of {all_} messages came out of order, behind later "
-                      "ones, and are left out")
+                      f"{source.name}: {late} of {all_} messages {MIXED[1]}")
 
     def _steps(self, source: Source, past: _Past, steps: np.ndarray, now: float) -> None:
         """Name samples that are missing, and a rate that is not the configured one."""

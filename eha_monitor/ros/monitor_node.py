@@ -356,7 +356,9 @@ class Monitor:
         for problem in (p for each in self.inputs for p in each.problems(now, limit, optional)):
             self.watch.note(problem, now, problem)
         without = CONSEQUENCES if overload else ()
-        self.data.problems = [*self._clashes, *self.watch.sentences(now, without)]
+        told = self.watch.sentences(now, without)
+        crowds = filter(None, (each.crowd(told) for each in self.inputs))
+        self.data.problems = [*self._clashes, *crowds, *told]
         for problem in self.data.problems:  # its numbers go on changing while it stands
             kind = NUMBER.split(problem)[0]
             if now - self._warned.get(kind, -math.inf) > QUIET_S:

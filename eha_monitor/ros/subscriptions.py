@@ -15,11 +15,12 @@ from rclpy.type_support import check_is_valid_msg_type
 
 from eha_monitor.errors import InputError
 from eha_monitor.health.overload import LoadWatch, Overload
+from eha_monitor.live.faults import MIXED
 from eha_monitor.live.rows import Batch, RowAligner
 from eha_monitor.recordings.dating import Dating
 from eha_monitor.ros.decoding import Stream, TopicReader
 from eha_monitor.ros.keeper import Keeper
-from eha_monitor.ros.topics import INPUT_QOS, Topic, clashes
+from eha_monitor.ros.topics import INPUT_QOS, Topic, clashes, crowd
 
 AT_ONCE = 500  # messages of a topic that are taken before those of the next
 
@@ -158,6 +159,12 @@ class TopicInput:
         if self.reader is not None and self.reader.zero_stamps > 1:
             found.append(f"{self.topic.full_name}: stamps are zero, the time of receipt is taken")
         return found
+
+    def crowd(self, problems: Sequence[str]) -> str:
+        """Return who publishes on the topic where its stamps are mixed, as ``problems`` say."""
+        mixed = any(each.startswith(self.topic.full_name) and each.endswith(MIXED)
+                    for each in problems)
+        return crowd(self._node, self.topic.name) if mixed else ""
 
     def clashes(self) -> list[str]:
         """Return in sentences which publishers offer what this subscription cannot take."""

@@ -18,6 +18,7 @@ from eha_monitor.live.rows import Source
 from eha_monitor.recordings.cdr import steps_of
 from eha_monitor.settings.channels import Channel
 from eha_monitor.settings.monitor import Settings
+from eha_monitor.words import listed
 
 
 def profile(depth: int, reliable: bool = True, latched: bool = False) -> QoSProfile:
@@ -36,6 +37,14 @@ OUTPUT_QOS = profile(1000)
 INPUT_QOS = profile(10_000, reliable=False)
 # What is shown may miss samples, and must not be late: the newest of each turn are enough.
 SHOWN_QOS = profile(100, reliable=False)
+
+
+def crowd(node: Node, topic: str) -> str:
+    """Return in a sentence that a topic has several publishers, and which; "" where it has not."""
+    name = node.resolve_topic_name(topic)
+    who = sorted(_who((each.node_name, each.node_namespace))
+                 for each in node.get_publishers_info_by_topic(name))
+    return f"{name}: {len(who)} publishers, {listed(who)}" if len(who) > 1 else ""
 
 
 def clashes(node: Node, topic: str) -> list[str]:
