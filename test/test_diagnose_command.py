@@ -92,7 +92,7 @@ def test_report_and_config_are_whole(answered):
 
 
 def test_estimate_runs_with_the_written_config(answered, capsys):
-    """With the friction in the model, B is B: the alarm for wear is gone."""
+    """With the friction in the model, B is B: before, only least squares have it."""
     folder, _ = answered
     told = {}
     first = read_recording(BAG, Settings()).part(0, 3000)  # with the friction: 2.4 s a second
@@ -102,7 +102,9 @@ def test_estimate_runs_with_the_written_config(answered, capsys):
         assert main(["estimate", str(bag), "--json", str(out), *more]) == 0
         told[name] = json.loads(out.read_text())
     capsys.readouterr()
-    assert told["nominal"]["parameters"]["B"]["value"] > 900.0
+    assert told["nominal"]["stages"]["one"]["value"] > 900.0
+    assert told["nominal"]["parameters"]["B"]["by"] == "least squares"
+    assert told["nominal"]["parameters"]["B"]["value"] == pytest.approx(600.0, rel=0.02)
     assert told["named"]["parameters"]["B"]["value"] == pytest.approx(600.0, rel=0.1)
     levels = {alarm["name"]: alarm["level"] for alarm in told["named"]["alarms"]}
     assert levels["viscous_damping_high"] == "OK"

@@ -5,6 +5,9 @@ from collections.abc import Callable, Mapping
 from datetime import UTC, datetime
 from pathlib import Path
 
+import numpy as np
+
+from eha_monitor.balances.policy import POLICY
 from eha_monitor.errors import InputError
 from eha_monitor.estimation.model_watch import MOVED
 from eha_monitor.estimation.results import ModelStatus, ParameterEstimate
@@ -25,8 +28,9 @@ LATEST_S = 60.0  # of rows at most, where other comparisons were waited for: of 
 class Comparison:
     """Compares the last rows with the machine, in another process, where something has moved.
 
-    Something has moved where the model begins or ceases to fit, or B or beta_e differ by more
-    than ``MOVED`` from what they were at the comparison before; and every ``EVERY_S`` anyway.
+    Something has moved where the model begins or ceases to fit, or B or beta_e, by least squares
+    where it does not fit, differ surely and by more than ``MOVED`` from what they were at the
+    comparison before; and every ``EVERY_S`` anyway.
     Whether that is a change is for the spread of the healthy recordings to say; a change without
     a name must also show in a recording twice as long.
 
@@ -75,7 +79,7 @@ class Comparison:
         self._again = False
         self._last_s = -EVERY_S
         self._fits: bool | None = None
-        self._values: dict[str, float] = {}
+        self._values: dict[str, tuple[float, float]] = {}  # with their deviations
 
     def note(self, model: ModelStatus, parameters: Mapping[str, ParameterEstimate], now_s: float
              ) -> None:
@@ -83,9 +87,10 @@ class Comparison:
         if model.status not in ("consistent", "mismatch") or self._due is not None:
             return
         fits, known = not model.mismatches, {
-            name: one.value for name, one in parameters.items() if one.status == "converged"}
-        moved = [name for name, value in known.items() if name in self._values and abs(
-            value - self._values[name]) > MOVED * abs(self._values[name])]
+            name: (one.value, one.stddev) for name, one in model.best(parameters).items()
+            if one.status == "converged" and not model.in_doubt(name)}
+        moved = [name for name, now in known.items()
+                 if name in self._values and _moved(self._values[name], now)]
         why = ("the monitor began" if self._fits is None
                else ("the model fits again" if fits else BEGINS) if fits != self._fits
                else f"{' and '.join(moved)} moved" if moved
@@ -174,6 +179,12 @@ class Comparison:
             self._running.end()
         COMPARING.give_back(self)
         self._running, self._saving, self._due, self._again = None, False, None, False
+
+
+def _moved(before: tuple[float, float], now: tuple[float, float]) -> bool:
+    """Tell whether a value (and its deviation) is surely another, and by more than ``MOVED``."""
+    return abs(now[0] - before[0]) > max(
+        MOVED * abs(before[0]), POLICY.varied * float(np.hypot(before[1], now[1])))
 
 
 def _iso(stamp_ns: float) -> str:
