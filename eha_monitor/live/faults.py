@@ -415,9 +415,9 @@ class FaultWatch:
         lacking = steps[(steps > GAP * usual) & (steps <= max(INTERRUPTED_S, 10.0 * usual))]
         missing = int(np.sum(np.round(lacking / usual) - 1))
         # Where stamps jitter, a short step and a long one are no gap: as many came as were due.
-        unit = max(usual, self._sample_time if usual > 0.5 * self._sample_time else 0.0)
+        period = max(usual, min(float(np.median(steps)), self._sample_time))
         whole = steps[steps <= max(INTERRUPTED_S, 10.0 * usual)]
-        missing = min(missing, round(float(whole.sum()) / unit) - len(whole))
+        missing = min(missing, round(float(whole.sum()) / period) - len(whole))
         missing -= source.late - past.counts.late  # they came, too late
         self.missing += max(missing, 0)
         if _many(missing, missing + len(steps)):
