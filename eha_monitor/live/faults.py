@@ -27,6 +27,7 @@ SHARE = 0.005
 GAP = 1.5
 # A rate this many times off the configured one is named.
 OTHER_RATE = 1.5
+NEAR_RATE = 0.2  # off it, the middle step of a jitter may be so much
 # So much later than at best is late; usual are some milliseconds, on a busy machine tens.
 LATE_S = 0.1
 AHEAD_S = 0.5  # by which a stamp is ahead of its receipt, against what is usual
@@ -415,7 +416,9 @@ class FaultWatch:
         lacking = steps[(steps > GAP * usual) & (steps <= max(INTERRUPTED_S, 10.0 * usual))]
         missing = int(np.sum(np.round(lacking / usual) - 1))
         # Where stamps jitter, a short step and a long one are no gap: as many came as were due.
-        period = max(usual, min(float(np.median(steps)), self._sample_time))
+        middle = float(np.median(steps))
+        as_asked = abs(middle - self._sample_time) < NEAR_RATE * self._sample_time
+        period = self._sample_time if as_asked else max(usual, min(middle, self._sample_time))
         whole = steps[steps <= max(INTERRUPTED_S, 10.0 * usual)]
         missing = min(missing, round(float(whole.sum()) / period) - len(whole))
         missing -= source.late - past.counts.late  # they came, too late
