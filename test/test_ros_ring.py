@@ -284,6 +284,10 @@ def test_an_actuator_is_a_place_and_takes_the_machine_of_its_config_s_rig(machin
     config.write_text(f"diagnosis: {{machine: {machine}}}")
     ((settings, _),) = actuators_of((f"left={config}",))
     assert (settings.rig.name, settings.monitor.namespace) == ("left", "/left")
+    elsewhere = tmp_path / "elsewhere.yaml"
+    elsewhere.write_text("diagnosis: {machine: /nowhere/machine.json}")
+    ((shown, _),) = actuators_of((f"left={elsewhere}",), "dashboard")
+    assert shown.diagnosis.machine == "/nowhere/machine.json"
     assert Comparison(settings, None, lambda *said: None, int).findings[0].level == "STALE"
 
 

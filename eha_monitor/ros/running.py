@@ -203,10 +203,10 @@ def actuators(config: Path | None, given: tuple[str, ...], ros_args: list[str], 
     """
     if given and config is not None:
         raise InputError("--config: expected either it or --actuator NAME=CONFIG")
-    return actuators_of(given) or [configured(config, ros_args, name)]
+    return actuators_of(given, name) or [configured(config, ros_args, name)]
 
 
-def actuators_of(given: tuple[str, ...]) -> list[tuple[Settings, str]]:
+def actuators_of(given: tuple[str, ...], node: str = "monitor") -> list[tuple[Settings, str]]:
     """Return settings and config's name of each ``NAME=CONFIG``.
 
     The name becomes the namespace of the topics and the ``hardware_id`` of the diagnostics; an
@@ -226,7 +226,8 @@ def actuators_of(given: tuple[str, ...]) -> list[tuple[Settings, str]]:
         if name in found:
             raise InputError(f"--actuator {text}: {name} exists already, expected another name")
         settings = load_settings(Path(config) if config else None)
-        refuse_another_rig(settings)
+        if node == "monitor":  # a dashboard compares with no machine, and may be far from its file
+            refuse_another_rig(settings)
         found[name] = (settings.model_copy(update={
             "rig": settings.rig.model_copy(update={"name": name}),
             "monitor": settings.monitor.model_copy(update={"namespace": f"/{name}"})}),
