@@ -11,9 +11,9 @@ from command_tools import refused
 from hypothesis import given
 from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
-from rig_tools import SINE, copies, settings, simulated
+from rig_tools import MULTISINE, SINE, copies, settings, simulated
 
-from eha_monitor.breakdown import computing
+from eha_monitor.breakdown import begins_anew, computing
 from eha_monitor.cli import main
 from eha_monitor.errors import InputError
 from eha_monitor.estimation.pipeline import estimate
@@ -221,19 +221,38 @@ def test_a_defect_is_no_breakdown():
         _ = 1.0 / float("0")
 
 
-def test_a_live_estimator_that_broke_down_begins_anew_and_tells(recording):
-    estimator, said = LiveEstimator(settings()), []
+def test_what_breaks_a_calculation_is_told_and_begun_anew():
+    said = []
+
+    class Estimator:
+        reset = staticmethod(said.append)
+
+        @begins_anew
+        def push(self, problem):
+            raise problem
+
+    Estimator().push(FloatingPointError("the covariance is no longer positive"))
+    assert said == ["the numbers of the channels broke the calculation "
+                    "(the covariance is no longer positive)"]
+    with pytest.raises(KeyError):
+        Estimator().push(KeyError("a defect"))
+
+
+def test_where_stage_two_alone_broke_down_stage_one_goes_on():
+    recording, estimator = simulated(MULTISINE, 8.0).recording(), LiveEstimator(
+        settings(implausible="warn"))
     for k in range(0, len(recording), 10):
-        rows = recording.part(k, k + 10).channels
         wild = {"x_d": np.full(10, 1e9)} if 1000 <= k < 1300 else {}
-        estimator.push_rows(1e-3 * np.arange(k, k + 10), rows | wild)
-    said = [event.message for event in estimator.snapshot().events]
-    assert any("broke the calculation" in text for text in said), said
-    for k in range(0, len(recording), 10):
-        estimator.push_rows(1e-3 * np.arange(k, k + 10) + recording.duration,
-                            recording.part(k, k + 10).channels)
-    found = estimator.snapshot().parameters["B"]
-    assert found.status == "converged" and found.value == pytest.approx(600.0, rel=0.02)
+        estimator.push_rows(1e-3 * np.arange(k, k + 10), recording.part(k, k + 10).channels | wild)
+        if k == 1290:
+            during = estimator.snapshot()
+    assert any(event.stage == "two" and "begins anew later" in event.message
+               for event in during.events), during.events
+    assert during.parameters["B"].status == "converged"
+    assert "broke down" in during.parameters["beta_e"].message
+    for name, true in (("B", 600.0), ("beta_e", 600e6)):
+        found = estimator.snapshot().parameters[name]
+        assert found.status == "converged" and found.value == pytest.approx(true, rel=0.02)
 
 
 def test_live_a_value_that_no_sensor_shows_is_left_out_and_named():

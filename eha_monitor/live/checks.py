@@ -54,6 +54,7 @@ from eha_monitor.settings.monitor import Settings
 
 PATIENCE_S = 2.0  # wait for stage one before stage two takes the nominal damping
 WEAK_S = 2.0, 8.0  # while stage two knows little: does the buffer show the modulus by now?
+BROKEN_S = 2.0, 64.0  # after stage two broke down; what broke it, a number of the config, stays
 HOLD_S = 0.5, 16.0  # while the evidence for a hold is weak
 PLAUSIBLE_S = 2.0, 16.0
 APART_S = 0.3  # between two actuators' runs of 20 to 60 ms: rows of ten catch up meanwhile
@@ -121,7 +122,20 @@ class Handover:
         self.settings = settings
         self.damping: tuple[float, float] | None = None
         self._given_at = -math.inf
-        self._weak = Backoff(*WEAK_S)
+        self._weak, self._broken = Backoff(*WEAK_S), Backoff(*BROKEN_S)
+
+    @property
+    def waits(self) -> str:
+        """Why stage two does not run."""
+        return "waits for stage one" if self._broken.wait == 0.0 else (
+            "its filter broke down, as it does where a number of the config is far from the "
+            "machine's or a channel is missing, and is tried again now and then")
+
+    def lost(self, now: float) -> float:
+        """Note that stage two broke down at ``now`` (s); return how long it pauses, s."""
+        self.damping = None
+        self._broken.answered(now, yes=now - self._broken.looked > 2.0 * BROKEN_S[1])
+        return self._broken.wait
 
     def give(self, damping: tuple[float, float], now: float) -> None:
         """Take a damping at ``now`` (s)."""
@@ -139,6 +153,8 @@ class Handover:
         stale : the past of stage two was run with a damping that is now known better.
         fits : no mismatch of stage two stands; a wrong model gets no better by a run.
         """
+        if two is None and not self._broken.due(now):
+            return None
         weak = two is not None and fits and self._weak.due(now) and (
             two.held or two.stddev > CONVERGED * two.value)
         if b.status == "converged":

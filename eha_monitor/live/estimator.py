@@ -259,9 +259,16 @@ class LiveEstimator:
         state.damping = self._follow()
         first, end = state.taken - context, stop - context
         for stage, damping in ((state.one, ()), (state.two, state.damping)):
-            if stage is not None:
+            if stage is None:
+                continue
+            try:
                 out, changes = stage.take(inputs, first, end, *damping)
-                self._note(context, ONE if stage is state.one else TWO, out[-2:, first:], changes)
+            except FloatingPointError as problem:
+                if stage is state.one:
+                    raise
+                self._lose_two(problem, stop)
+                continue
+            self._note(context, ONE if stage is state.one else TWO, out[-2:, first:], changes)
         if inputs.kept.shape[1]:
             buffer.column("kept", state.taken, stop)[:] = inputs.kept[first:end, 0]
         if state.two is not None:
@@ -269,6 +276,15 @@ class LiveEstimator:
                 buffer.column(name, state.taken, stop)[:] = value
         state.taken = stop
         self._supervise()
+
+    def _lose_two(self, problem: FloatingPointError, stop: int) -> None:
+        """Go on without stage two, which broke down on rows before ``stop``."""
+        state, buffer = self._state, self._grid.buffer
+        state.two = None
+        buffer.column("nu_two", max(buffer.first, state.taken), stop)[:] = math.nan
+        pause = state.handover.lost(self._grid.time_of(stop))
+        state.clean = stop + round(0.5 * pause / self.dt)  # what broke it may last for a while
+        self._report("two", f"begins anew later: {problem}", stop)
 
     def _inputs_from(self, start: int) -> StageInputs:
         """Return the stages' inputs of the rows from ``start`` to the end of the buffer."""
@@ -391,7 +407,8 @@ class LiveEstimator:
             tester.look_beside(self._now, self._rows)
         start = state.taken - round(JUDGED_S / self.dt)
         self._look_beyond(start, now)
-        if not standing or start < self._grid.buffer.first or not tester.trying.due(now):
+        if not standing or start < self._grid.buffer.first or not tester.trying.due(now) or (
+                standing[0] == "two" and state.two is None):
             return
         # Stage two's misfit may be a wrong B's: it is tried once stage one fits.
         fit, ended = tester.try_again(standing[0], self._inputs(start), state.damping, now)
@@ -447,10 +464,11 @@ class LiveEstimator:
         if state.two is None:
             self._decide_hold()
         again = "runs" if state.two is None else "re-run"
+        given = with_uncertainty(*state.handover.damping, ONE.unit(self.settings))
         state.stale_piece = False
         self._run_two_again()
-        given = with_uncertainty(*state.handover.damping, ONE.unit(self.settings))
-        self._report("two", f"{again} with B = {given} {why or 'as before'}")
+        if state.two is not None:
+            self._report("two", f"{again} with B = {given} {why or 'as before'}")
 
     def _decide_hold(self) -> bool:
         """Examine the rows, until they decide it, for whether the drive holds its command."""
@@ -480,7 +498,11 @@ class LiveEstimator:
         b[np.isnan(b)], variance[np.isnan(variance)] = value, stddev**2
         inputs = self._inputs(start)
         found = run_stage_two_kernel(inputs, self.settings, b, variance)
-        check(found.out, LiveStageTwo.sigma)
+        try:
+            check(found.out, LiveStageTwo.sigma)
+        except FloatingPointError as problem:
+            self._lose_two(problem, stop)
+            return
         self._hold.compare(found, buffer.recording(start, stop), b, variance)
         constants = constants_two(inputs, self.settings)._replace(R=state.r)
         two = LiveStageTwo(run=engine_of(self.settings)[1], model=self._model,
@@ -498,7 +520,7 @@ class LiveEstimator:
     def _parameters(self) -> dict[str, ParameterEstimate]:
         state = self._state
         lacking = ("no data yet",) * 2 if self._grid is None else (
-            self._no_force or "no data yet", self._no_drive or "waits for stage one")
+            self._no_force or "no data yet", self._no_drive or state.handover.waits)
         values = tuple((stage.value, stage.stddev) if stage else None
                        for stage in (state.one, state.two))
         key = values, lacking, self._hold.apart, id(self.settings)
