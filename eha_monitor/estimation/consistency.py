@@ -39,9 +39,7 @@ def variance_ratios(e: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     For white e of unit variance the sum over m samples has variance m; the ratio's standard
     deviation with k blocks is sqrt(2/k).
 
-    Parameters
-    ----------
-    e : (n,) whitened innovations without NaN.
+    ``e`` : (n,) whitened innovations without NaN.
     """
     sums = np.concatenate([[0.0], np.cumsum(e)])
     lengths, ratios = [], []

@@ -474,9 +474,7 @@ class Diagnosis:
     def since(self, points: tuple[ChangePoint, ...], started: float) -> "Diagnosis":
         """Return it as the answer for what came after some changes, which its message names.
 
-        Parameters
-        ----------
-        started : when all of it began, s of ``time.perf_counter``.
+        ``started`` : when all of it began, s of ``time.perf_counter``.
         """
         found = replace(self, wall_s=time.perf_counter() - started)
         if not points:

@@ -142,9 +142,7 @@ def late_as_held(naming: Naming) -> bool:
 def apart_under(windows: Experiment, found: Fit) -> dict[str, float]:
     """Return by how much B and beta_e of a set move under another hold, SI; refitted from there.
 
-    Parameters
-    ----------
-    windows : of the same samples, under the other hold.
+    ``windows`` : of the same samples, under the other hold.
     """
     try:
         there = settled(windows, with_unknowns(windows, found))

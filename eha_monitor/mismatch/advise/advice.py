@@ -128,9 +128,7 @@ def with_motion(found: Advice, recordings: list[Recording], settings: Settings, 
 
     Unchanged behind a valve circuit, where no model predicts a motion.
 
-    Parameters
-    ----------
-    settings : with the effects that the balances name.
+    ``settings`` : with the effects that the balances name.
     """
     experiment = experiment_of(recordings, settings, hold_out=False)
     if experiment.mode != FORCED and by_balances(recordings, settings):

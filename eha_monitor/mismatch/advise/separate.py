@@ -300,9 +300,7 @@ def cheapest(tried: Sequence[Tried], rejected: Sequence[str] = (), wanted: float
 
     Of motions that take as long the one with fewer segments, then the first of the candidates.
 
-    Parameters
-    ----------
-    wanted : log units that must be predicted.
+    ``wanted`` : log units that must be predicted.
     """
     left = [(sum(gain >= wanted for gain in one.gains), one) for one in tried
             if one.motion.name not in rejected]

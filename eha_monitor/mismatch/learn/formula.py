@@ -374,9 +374,7 @@ def as_expression(shape: Shape, form: Form, values: dict[str, float], scale: flo
                   ) -> tuple[str, dict[str, float]]:
     """Return a shape times its form's factor as an expression of a config, and its parameters.
 
-    Parameters
-    ----------
-    scale : speed over which a term that follows the direction turns round, m/s.
+    ``scale`` : speed over which a term that follows the direction turns round, m/s.
     """
     factor, text = FACTORS[form.times][0], in_signal(shape.text, form.of)
     text = f"({text}){factor}" if factor and ("+" in text or "-" in text) else text + factor

@@ -90,9 +90,7 @@ def validated_term(experiment: Experiment, unseen: Experiment, naming: Naming
                    ) -> ValidatedTerm | None:
     """Learn what has no name; None where no model of it holds on data that no fit has seen.
 
-    Parameters
-    ----------
-    unseen : with held-out samples, or another recording of the rig.
+    ``unseen`` : with held-out samples, or another recording of the rig.
     """
     learned = learned_of(experiment, naming)
     if learned is None:
@@ -203,9 +201,7 @@ def signals_of(form: Form) -> tuple[str, ...]:
 def statement_of(form: Form, formula: str, size: str) -> str:
     """Return what a learned term is, in words.
 
-    Parameters
-    ----------
-    formula : "" where none says as much as its curve; ``size`` at its largest.
+    ``formula`` : "" where none says as much as its curve; ``size`` at its largest.
     """
     law = f", {formula}" if formula else (
         f" that is a function of {SHOWN.get(form.of, form.of)}{ACTS[form.times]}")

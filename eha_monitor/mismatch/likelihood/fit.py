@@ -190,9 +190,7 @@ def start_of(experiment: Experiment, stretch, w: np.ndarray) -> np.ndarray:
     A filter is given twice the noise of the pressures to begin with.  What a sensor errs by is
     far more, and their mean, which nothing but leakage and make-up changes, keeps it for long.
 
-    Parameters
-    ----------
-    w : (N_CIRCUIT,) circuit of the model: scales, offsets and drifts of the sensors.
+    ``w`` : (N_CIRCUIT,) circuit of the model: scales, offsets and drifts of the sensors.
     """
     charge = experiment.settings.rig.charge_pressure
     x, _, p1, p2, omega = stretch.first

@@ -187,9 +187,7 @@ class Traces:
         Friction that reverses within an integration step magnifies the last bit of a sum by many
         powers of ten: what is then divided by a step is no slope, and predicts nothing.
 
-        Parameters
-        ----------
-        slopes : of the fit's parameters, at the fit.
+        ``slopes`` : of the fit's parameters, at the fit.
         """
         theta = self.fit.theta + 0.5 * sum(slope.model[0] - self.fit.theta for slope in slopes)
         half = Slope("half of all", (theta, self.fit.active))

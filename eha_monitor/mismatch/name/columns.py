@@ -94,9 +94,7 @@ def rig_free(experiment: Experiment, beside: Sequence[str] = ()) -> tuple[Free, 
 
     Each has the prior of its tolerance (``rig.tolerance``).  What is nil or unknown is none.
 
-    Parameters
-    ----------
-    beside : members of a model; a number that is the same equation as one of them stays out.
+    ``beside`` : members of a model; a number that is the same equation as one of them stays out.
     """
     equal = {candidate(name).equals for name in beside if name in CATALOGUE}
     rig, policy = experiment.settings.rig, experiment.policy

@@ -67,9 +67,7 @@ def allowed_end(fit: Fit, f: Free, value: float) -> bool:
 def failures(experiment: Experiment, fit: Fit) -> list[Gate]:
     """Return the gates that members of a fitted set do not pass; empty for an answer.
 
-    Parameters
-    ----------
-    fit : the set's model, fitted to the end; ``named`` its members.
+    ``fit`` : the set's model, fitted to the end; ``named`` its members.
     """
     return [*_bounds(fit), *_members(experiment, fit), *_within(experiment, fit), *_curves(fit),
             *_signs(experiment, fit)]

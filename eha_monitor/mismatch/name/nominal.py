@@ -32,9 +32,7 @@ BENT = 0.2  # of the logarithm of B or beta_e
 def nominal_model(experiment: Experiment, within: bool = False) -> Fit:
     """Fit the nominal model, first with unknowns so large that it cannot run away.
 
-    Parameters
-    ----------
-    within : with the rig's numbers free within their tolerances.  Where only B and beta_e may
+    ``within`` : with the rig's numbers free within their tolerances.  Where only B and beta_e may
         give, they make up for all that the config has a little wrong, and go where nothing is
         linear.
     """

@@ -63,9 +63,7 @@ class Refits:
     def known(self, names: Names, here: Names, promised: float = -np.inf) -> bool:
         """Tell whether a set was looked at from the model at hand, or refitted from elsewhere.
 
-        Parameters
-        ----------
-        promised : evidence by the linear guess from the model at hand: what was fitted from
+        ``promised`` : evidence by the linear guess from the model at hand: what was fitted from
             elsewhere and would be better from here is not known yet.
         """
         station = self.stations.get(names, (None, -np.inf))[1]
@@ -145,9 +143,7 @@ class Refits:
         something more than those that were linearised before; and at last the one with the highest
         score.
 
-        Parameters
-        ----------
-        done : names -> evidence with which a model was linearised before; one that has gained
+        ``done`` : names -> evidence with which a model was linearised before; one that has gained
             ``enough`` since is linearised again.
         """
         best = self.best()

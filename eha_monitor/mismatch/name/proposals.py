@@ -99,9 +99,7 @@ def beyond_one_law(found: list[Ranked], here: Names, form: float) -> list[Ranked
     What one law has wrong another takes up: see :meth:`Refits.scores`.  The model at hand stays as
     it is, since all others are measured from it.
 
-    Parameters
-    ----------
-    form : share of what a law explains that may be its form error.
+    ``form`` : share of what a law explains that may be its form error.
     """
     known: dict[Names, float] = {}
     for one in found:

@@ -233,9 +233,7 @@ def directions_of(fit: Fit, start: Start, share: float = 1.0
                   ) -> list[tuple[np.ndarray, np.ndarray]]:
     """Return (theta, active) with one size of the start at a time, or with all of its shape.
 
-    Parameters
-    ----------
-    share : of the start's sizes.
+    ``share`` : of the start's sizes.
     """
     sizes = own_sizes(start)
     if not sizes:

@@ -71,9 +71,7 @@ def loads_of(experiment: Experiment, amplitudes: np.ndarray
              ) -> tuple[tuple[float, float, float], ...]:
     """Return when an unknown load acts, (from s, to s, N against positive motion).
 
-    Parameters
-    ----------
-    amplitudes : (k,) of the blocks of time, in units of the prior.
+    ``amplitudes`` : (k,) of the blocks of time, in units of the prior.
     """
     newtons = experiment.policy.matters * smallest_unknowns(experiment).force * amplitudes
     counted = np.bincount(np.concatenate(blocks_of(experiment)[0]), np.concatenate(

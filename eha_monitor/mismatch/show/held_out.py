@@ -200,9 +200,7 @@ def baseline_gates(experiment: Experiment, baselines: Sequence[Baseline], after:
     On samples that the model's fit has not seen.  The least squares have, but four numbers from
     thousands of samples gain nothing by that beside the share ``worse``.
 
-    Parameters
-    ----------
-    force : what the model leaves of the force there (:func:`shown`); None where none is measured.
+    ``force`` : what the model leaves of it there (:func:`shown`); None where none is measured.
     """
     of = {one.source: one for one in baselines if one.force is not None}
     if force is None or not {stretch.source for stretch in experiment.stretches} <= of.keys():
@@ -254,9 +252,7 @@ def baseline_residual(experiment: Experiment, of: Mapping[str, Baseline], after:
     mass (errors in variables): 13.9 kg of 18.5 left 0.8 N where the true mass leaves 3.8.  So
     they have the mass of ``after``, unless that calls the config's wrong.
 
-    Parameters
-    ----------
-    of : source -> first view of that recording; its sensors err by what ``after`` says.
+    ``of`` : source -> first view of that recording; its sensors err by what ``after`` says.
     """
     named = set(after.named) & {"rig.mass", "added_mass"}
 

@@ -124,10 +124,8 @@ def robust(experiment: Experiment, fit: Fit, of_rig: bool = True) -> Fit:
     this and the usual H^-1 is kept for each parameter.  To it comes what numbers of the rig that
     were not fitted leave open within their tolerances.
 
-    Parameters
-    ----------
-    of_rig : also what the rig's tolerances leave open; not between parts of one rig, which have
-        its errors in common.
+    ``of_rig`` : also what the rig's tolerances leave open; not between parts of one rig, which
+        have its errors in common.
     """
     if not fit.free:
         return fit
