@@ -26,6 +26,7 @@ from eha_monitor.mismatch.data.inputs import (
     course_of,
     noise_governs,
     present,
+    speed_of,
 )
 from eha_monitor.mismatch.data.stretch import BURN_IN, Rows, Stretch, windows_of
 from eha_monitor.mismatch.policy import POLICY, SearchPolicy
@@ -37,7 +38,6 @@ from eha_monitor.physics.signals import K_POS
 from eha_monitor.recordings.grid import filled
 from eha_monitor.recordings.recording import Recording, between_stops, rows_of, sample_of
 from eha_monitor.settings.monitor import Settings
-from eha_monitor.settings.rig import Rig
 
 OUTPUTS = ("x", "v", "p1", "p2", "omega")
 LONGEST_GAP = 0.02  # s of missing input that is bridged
@@ -201,11 +201,6 @@ def experiment_of(recordings: list[Recording], settings: Settings,
                       windows=chosen is not None, without=without)
 
 
-def by_loop(recording: Recording, rig: Rig) -> bool:
-    """Tell whether the pump's speed is what the config's position loop makes of x_d and x."""
-    return rig.position_gain is not None and recording.has("x_d")
-
-
 def meant(channels: dict, w: np.ndarray, begun: float, dt: float) -> dict[str, np.ndarray]:
     """Return the pressures, (n,) Pa, less the errors that the config knows of their sensors.
 
@@ -227,11 +222,11 @@ def input_noise(mode: int, settings: Settings, levels: dict) -> float:
     def level(name):
         return float(np.median(levels[name])) if name in levels else 0.0
 
+    rig = settings.rig
     if mode == OPEN:
         return level("omega")
-    if mode == FORCED and "p1" in levels and "p2" in levels and settings.rig.area_1:
-        return float(np.hypot(settings.rig.area_1 * level("p1"),
-                              settings.rig.area_2 * level("p2")))
+    if mode == FORCED and "p1" in levels and "p2" in levels and rig.area_1:
+        return float(np.hypot(rig.area_1 * level("p1"), rig.area_2 * level("p2")))
     return level("force") if mode == FORCED else 0.0
 
 
@@ -249,7 +244,8 @@ def mode_of(recording: Recording, settings: Settings) -> int:
     if not recording.has("x"):
         raise InputError(f"{recording.source}: expected a position (channel x), found "
                          f"{', '.join(recording.channels) or 'nothing'}")
-    if known and (wants_speed(recording) or by_loop(recording, rig)):
+    if known and (wants_speed(recording)
+                  or (rig.position_gain is not None and recording.has("x_d"))):
         return CLOSED
     if known and recording.has("omega"):
         return OPEN
@@ -387,7 +383,8 @@ def stretches_of(recording: Recording, channels: dict, settings: Settings, mode:
         if (mode == CLOSED and not held and not wants_speed(recording)
                 and "p1" in levels and "p2" in levels):
             known = 0.5 * (levels["p1"][-1]**2 + levels["p2"][-1]**2)
-            entered = pressure_of(off, rig, dt)[:-1] ** 2
+            entered = (rig.position_gain * off * rig.pump_displacement * dt  # Pa, into the oil
+                       * rig.bulk_modulus / min(rig.volume_1, rig.volume_2))[:-1] ** 2
             loose[1:] = np.where(entered > LOOSE * known, entered / (entered + 0.5 * known), 0.0)
         held_out = (np.mod(time, PERIOD) >= PERIOD * (1 - SHARE)) & hold_out
         if (stop - start) * dt < 2 * PERIOD:  # a short record: its last fifth
@@ -401,12 +398,6 @@ def stretches_of(recording: Recording, channels: dict, settings: Settings, mode:
             (time >= BURN_IN) & ~seen & (loose == 0.0), held_out, loose,
             None if angle is None else angle[here]))
     return parts
-
-
-def pressure_of(off: np.ndarray, rig: Rig, dt: float) -> np.ndarray:
-    """Return what a demand off by ``off`` m over a sample does to the pressures, (n,) Pa."""
-    return (rig.position_gain * off * rig.pump_displacement * dt
-            * rig.bulk_modulus / min(rig.volume_1, rig.volume_2))
 
 
 def smooth(values: np.ndarray, otherwise: float) -> np.ndarray:
@@ -448,19 +439,13 @@ def ranges_of(columns: list[dict], settings: Settings, dt: float) -> Ranges:
     low = (pooled(lambda c: np.minimum(c["p1"], c["p2"])) if both
            else np.array([rig.charge_pressure]))
     mean = pooled(lambda c: 0.5 * (c["p1"] + c["p2"])) if both else low
-    gain = rig.position_gain
-
-    def speed(c):
-        if "omega" in c:
-            return c["omega"]
-        return gain * (c["x_d"] - c["x"]) if gain and "x_d" in c else None
 
     # Where pressures drive the model, their noise is part of the force that it is driven by.
-    forced = all(speed(c) is None for c in columns)
+    forced = all(speed_of(c, rig) is None for c in columns)
     force = np.abs(pooled(lambda c: force_of(rig, c), read if forced else columns)) if (
         both or all("force" in c for c in columns)) else rig.mass * a
-    omega = np.abs(pooled(speed))
-    turn = np.abs(pooled(lambda c: slope(speed(c), 1)))
+    omega = np.abs(pooled(lambda c: speed_of(c, rig)))
+    turn = np.abs(pooled(lambda c: slope(speed_of(c, rig), 1)))
 
     def q(values, *levels):
         return tuple(float(max(value, 1e-12)) for value in np.quantile(values, levels))

@@ -14,7 +14,6 @@ KEPT = 0.95  # share of the smallest squares that count: jumps and spikes aside
 # order, also where the curve begins.
 CORNER = 20.0  # times the bends outside: a corner lies between two samples
 
-
 JUMPED = 3.0**-0.5  # rms of what a jump at any time between two stamps adds to the mean
 BEND = 1.0 / 24.0  # of the fourth difference: how far a cubic's mean may be off where it bends
 
@@ -111,16 +110,22 @@ def noise_governs(parts: list[np.ndarray]) -> bool:
     return bool(r > GOVERNS * q)
 
 
+def speed_of(channels: dict[str, np.ndarray], rig: Rig) -> np.ndarray | None:
+    """Return the pump's speed as it was measured, or as it was commanded, rad/s."""
+    if "omega" in channels:
+        return channels["omega"]
+    if rig.position_gain is not None and "x_d" in channels:
+        return rig.position_gain * (channels["x_d"] - channels["x"])
+    return None
+
+
 def angle_of(channels: dict, rig: Rig, dt: float) -> np.ndarray | None:
     """Return what the shaft has turned since the recording began, rad (n,); None if nothing says.
 
     The integral of the pump's speed, measured or that of the position loop.
     """
-    if "omega" in channels:
-        speed = channels["omega"]
-    elif rig.position_gain is not None and "x_d" in channels:
-        speed = rig.position_gain * (channels["x_d"] - channels["x"])
-    else:
+    speed = speed_of(channels, rig)
+    if speed is None:
         return None
     speed = filled(speed) if np.isfinite(speed).any() else np.zeros(len(speed))
     return dt * np.concatenate([[0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]))])

@@ -12,10 +12,10 @@ from functools import cached_property
 import numpy as np
 
 from eha_monitor import ties
-from eha_monitor.estimation.inputs import force_of
+from eha_monitor.estimation.rig_model import force_of
+from eha_monitor.mismatch.data.inputs import speed_of
 from eha_monitor.recordings.recording import Recording, rows_of
 from eha_monitor.settings.monitor import Settings
-from eha_monitor.settings.rig import Rig
 
 BEGINNING, HEAD = 20, 8  # samples in which a first value is sought; of a line through x
 BURN_IN = 0.15  # s at the start of each stretch in which the filter finds the state
@@ -105,22 +105,19 @@ class Rows:
     last: int
 
 
-def windows_of(recordings: list[Recording], settings: Settings, most: int = LOOKED,
-               size: int = WINDOW) -> list[Rows] | None:
-    """Return the most informative windows, in order; None where all of the samples are few.
+def windows_of(recordings: list[Recording], settings: Settings, most: int = LOOKED
+               ) -> list[Rows] | None:
+    """Return the most informative windows of a rig's recordings, in order.
 
-    Parameters
-    ----------
-    recordings : of one rig.
-    most : samples that are looked at; ``size`` : samples of a window.
+    They have ``most`` samples together; None where all of the recordings have no more.
     """
     if sum(map(len, recordings)) <= most:
         return None
     windows, columns = [], []
     for number, recording in enumerate(recordings):
-        for first in range(0, len(recording), size):
-            last = min(first + size, len(recording))
-            if last - first >= min(size // 2, len(recording)):
+        for first in range(0, len(recording), WINDOW):
+            last = min(first + WINDOW, len(recording))
+            if last - first >= min(WINDOW // 2, len(recording)):
                 windows.append(Rows(number, first, last))
                 columns.append(columns_of(rows_of(recording, first, last), settings))
     names = sorted(set().union(*columns))
@@ -131,7 +128,7 @@ def windows_of(recordings: list[Recording], settings: Settings, most: int = LOOK
     grams = [(part / np.where(scale > 0, scale, 1.0)).T @ (part / np.where(scale > 0, scale, 1.0))
              for part in tables]
     return [windows[i] for i in most_informative(
-        grams, [one.last - one.first for one in windows], most, size)]
+        grams, [one.last - one.first for one in windows], most, WINDOW)]
 
 
 def most_informative(grams: list[np.ndarray], lengths: list[int], most: int, size: int
@@ -192,15 +189,6 @@ def columns_of(window: Recording, settings: Settings) -> dict[str, np.ndarray]:
             wanted = rig.position_gain * (channels["x_d"] - channels["x"])
             found["drive_left"] = coarse(channels["omega"] - wanted)
     return {name: np.nan_to_num(values) for name, values in found.items()}
-
-
-def speed_of(channels: dict[str, np.ndarray], rig: Rig) -> np.ndarray | None:
-    """Return the pump's speed as it was measured, or as it was commanded, rad/s."""
-    if "omega" in channels:
-        return channels["omega"]
-    if rig.position_gain is not None and "x_d" in channels:
-        return rig.position_gain * (channels["x_d"] - channels["x"])
-    return None
 
 
 def _rms(values: np.ndarray) -> float:
