@@ -156,7 +156,10 @@ class Guess:
 def tables_of(experiment: Experiment, fit: Fit) -> tuple[Table, ...]:
     """Return every form over what the recordings cover."""
     tracks = filtered_tracks(experiment, fit)
-    units = units_of(experiment, fit)
+    # The prior deviation of a table's values in each balance, SI.
+    units = dict(zip(("force", "flow", "drive"), (
+        experiment.policy.matters * smallest_unknowns(experiment).as_array()).tolist(),
+        strict=True))
     difference = np.abs(np.concatenate([signal_along(track, "dp") for track in tracks]))
     scales = {"direction": max(SHARP * experiment.ranges.speed, 1e-9),
               "v": max(experiment.ranges.speed, 1e-9),
@@ -194,13 +197,6 @@ def periods_of(experiment: Experiment, fit: Fit, tracks: list[np.ndarray]) -> in
         shares[k] = np.sum((waves.T @ left) ** 2) / max(np.sum(waves**2), 1e-300)
     of = np.arange(1, MOST_PERIODS + 1)
     return int(of[ties.largest(sum(shares[of * h] for h in range(1, HARMONICS + 1)))])
-
-
-def units_of(experiment: Experiment, fit: Fit) -> dict[str, float]:
-    """Return the prior deviation of a table's values in each balance, SI."""
-    small = smallest_unknowns(experiment).as_array()
-    return dict(zip(("force", "flow", "drive"),
-                    (experiment.policy.matters * small).tolist(), strict=True))
 
 
 def columns_with(experiment: Experiment, fit: Fit, tables: Sequence[Table]) -> Columns:

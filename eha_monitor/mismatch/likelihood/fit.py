@@ -239,9 +239,8 @@ def prior_exponent(free: Sequence[Free], theta: np.ndarray) -> float:
     return -0.5 * sum(((f.inward(theta[f.place]) - f.prior) / f.spread) ** 2 for f in free)
 
 
-def sensitivities(experiment: Experiment, theta: np.ndarray, active: np.ndarray,
-                  gains: np.ndarray, e: np.ndarray, moved: Iterable[tuple[np.ndarray, float]]
-                  ) -> list[np.ndarray]:
+def sensitivities(experiment: Experiment, active: np.ndarray, gains: np.ndarray, e: np.ndarray,
+                  moved: Iterable[tuple[np.ndarray, float]]) -> list[np.ndarray]:
     """Return (e(theta') - e) / step for each (theta', step), on all cores, (N, c) each."""
     def one(item):
         other, step = item

@@ -187,7 +187,7 @@ def columns_at(experiment: Experiment, fit: Fit, unnamed: bool = True, suspects:
             with np.errstate(invalid="ignore"):  # a run that went astray is not used
                 np.subtract(run, part, out=run)
             run /= units
-            good &= tame(run, part)
+            good &= bool((np.abs(run[np.isfinite(part)]) < ASTRAY).all())
             into[:, :, 1 + place] = run if good else 0.0
         return good
 
@@ -217,11 +217,6 @@ def columns_at(experiment: Experiment, fit: Fit, unnamed: bool = True, suspects:
                                    step=step))
                 copies.append((1 + i, turned * float(np.expm1(turned * step)) / f.spread))
     return Columns(tuple(what), values, tuple(copies))
-
-
-def tame(column: np.ndarray, present: np.ndarray) -> bool:
-    """Tell whether a column (n, c) is a number wherever something was measured."""
-    return bool((np.abs(column[np.isfinite(present)]) < ASTRAY).all())
 
 
 def effects_of(fit: Fit) -> tuple[str, ...]:
@@ -292,4 +287,3 @@ def entering(fit: Fit, start: Start, variant: int, what: list, moves: list) -> N
 def placed(column: Column, amplitude: float) -> float:
     """Return the value of a size that enters with an amplitude, SI."""
     return column.free.outward(column.free.prior + amplitude * column.free.spread)
-

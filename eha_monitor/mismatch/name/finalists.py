@@ -142,7 +142,8 @@ def finish(experiment: Experiment, refits: Refits) -> None:
     best = refits.best()
     lead = refits.fits[best]
     for name in sorted(best & CATALOGUE.keys()):  # a law as simple, from the same place
-        for other in sorted({*CATALOGUE[name].contains, *candidate(name).simple_kin}):
+        for other in sorted({*CATALOGUE[name].contains, *(
+                one for one in candidate(name).kin if len(CATALOGUE[one].sizes) == 1)}):
             swapped, worth = best - {name} | {other}, lead.log_likelihood - CLOSE
             stuck = swapped not in refits.fits or refits.fits[swapped].log_likelihood < worth
             if possible(other, experiment) and stuck:

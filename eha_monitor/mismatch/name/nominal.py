@@ -128,7 +128,7 @@ def jagged(experiment: Experiment, fit: Fit) -> bool:
     if f is None or experiment.log_step == JAGGED or not np.isfinite(fit.log_likelihood):
         return False
     small, large = (np.nan_to_num(slope) @ whitener(fit.s).T for slope in sensitivities(
-        experiment, fit.theta, fit.active, fit.gains, innovations(
+        experiment, fit.active, fit.gains, innovations(
             experiment, fit.theta, fit.active, fit.gains),
         [step_of(f, fit.theta, step) for step in (SMOOTH, JAGGED)]))
     return bool(np.linalg.norm(small - large) > np.linalg.norm(large))

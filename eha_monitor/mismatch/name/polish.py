@@ -8,7 +8,6 @@ import numpy as np
 from eha_monitor.mismatch.data.experiment import Experiment, damping_steps
 from eha_monitor.mismatch.likelihood.fit import (
     Fit,
-    Free,
     covariance_of,
     innovations,
     log_likelihood_of,
@@ -91,9 +90,6 @@ class Slopes:
             np.ascontiguousarray(part[:, :, places]) for part in self.values], fit.gains)
         whole = np.concatenate([part[stretch.counted] for part, stretch in zip(
             parts, self.experiment.stretches, strict=True)])
-        return self._in_units(wanted, whole)
-
-    def _in_units(self, wanted: list[Free], whole: np.ndarray) -> dict[str, np.ndarray]:
         usable = np.abs(whole).max(axis=(0, 1)) < LARGEST  # nor is NaN
         return {f.name: whole[:, :, i] / self.spreads[self.places[f.name]]
                 for i, f in enumerate(wanted) if usable[i]}
@@ -132,7 +128,7 @@ def _polished(experiment: Experiment, fit: Fit, known: dict[str, np.ndarray], st
         if not which:
             return
         plain = innovations(rough, theta, fit.active, fit.gains)
-        fresh = sensitivities(rough, theta, fit.active, fit.gains, plain,
+        fresh = sensitivities(rough, fit.active, fit.gains, plain,
                               [step_of(free[i], theta, experiment.log_step) for i in which])
         for i, slope in zip(which, fresh, strict=True):
             d[i] = np.nan_to_num(slope)

@@ -69,11 +69,6 @@ class Linearised:
         return own_in(self.ranking, self.here)
 
 
-def linearised(experiment: Experiment, here: Names, fit: Fit) -> Linearised:
-    """Take the columns at a model and rank every set of suspects with a name there."""
-    return weighed(experiment, here, fit, columns_at(experiment, fit, unnamed=False))
-
-
 def beside(experiment: Experiment, here: Names, fit: Fit) -> Linearised:
     """Rank what has no name beside each part of a model.
 
@@ -197,8 +192,9 @@ def proposals_of(found: list[Ranked], model: Ranked | None, refits: Refits,
     able = [one for one in better if one.evidence >= enough]
     size = min(len(one.names) for one in able)
     chosen: list[Ranked] = []
-    for one in sorted(best_first(one for one in able if len(one.names) == size),
-                      key=containing):
+    # What is contained comes before what contains it.
+    for one in sorted(best_first(one for one in able if len(one.names) == size), key=lambda one: (
+            sum(len(CATALOGUE[name].contains) for name in one.names if name in CATALOGUE))):
         if not any(contained(other, one, here) for other in chosen):
             chosen.append(one)
     chosen = best_first(chosen)
@@ -223,11 +219,6 @@ def promised(refits: Refits, here: Names, model: Ranked | None, one: Ranked) -> 
         return -np.inf
     return evidence_at_start(refits, here) + (one.evidence - one.prior) - (
         model.evidence - model.prior)
-
-
-def containing(one: Ranked) -> int:
-    """Return the key that puts what is contained before what contains it."""
-    return sum(len(CATALOGUE[name].contains) for name in one.names if name in CATALOGUE)
 
 
 def contained(simple: Ranked, other: Ranked, here: Names) -> bool:

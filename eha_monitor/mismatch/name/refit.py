@@ -6,22 +6,10 @@ import numpy as np
 
 from eha_monitor import ties
 from eha_monitor.mismatch.data.experiment import Experiment
-from eha_monitor.mismatch.likelihood.fit import (
-    Fit,
-    Free,
-    remade,
-    with_unknowns,
-)
+from eha_monitor.mismatch.likelihood.fit import Fit, Free, remade, with_unknowns
 from eha_monitor.mismatch.likelihood.gains import Unknowns, expected_covariance, gains_of
 from eha_monitor.mismatch.name.candidates import candidate
-from eha_monitor.mismatch.name.columns import (
-    ALWAYS,
-    MAKEUP,
-    Column,
-    placed,
-    rig_free,
-    runs_of,
-)
+from eha_monitor.mismatch.name.columns import ALWAYS, MAKEUP, Column, placed, rig_free, runs_of
 from eha_monitor.mismatch.name.gram import evidences_at
 from eha_monitor.mismatch.name.polish import ROUGHLY, Slopes, keep_within, polished, polished_on
 from eha_monitor.mismatch.name.rank import Ranked
@@ -48,6 +36,7 @@ WRONG_BY = 1e3  # how far a number of the rig may be off; what is less is absent
 QUICK = 10  # steps of a first look
 ROUGH_STEPS = 8  # of a fit whose unknowns will change
 HALVINGS = 3  # of the way to other unknowns
+SETTLING = 4  # rounds of parameters and unknowns in turn, at most
 FACTORS = (10.0, 3.0)  # of the unknowns' grid
 
 
@@ -114,15 +103,15 @@ def at_level(experiment: Experiment, fit: Fit, limits: tuple[Unknowns, Unknowns]
     return fit
 
 
-def settled(experiment: Experiment, fit: Fit, slopes: Slopes | None = None, rounds: int = 4,
-            tolerance: float = 0.3, worth: float = -np.inf) -> Fit:
+def settled(experiment: Experiment, fit: Fit, slopes: Slopes | None = None,
+            worth: float = -np.inf) -> Fit:
     """Fit parameters and unknowns in turn until neither gains.
 
     A fit that is further below ``worth`` log units after a round than that round gained is not
     carried further: the next one gains less.
     """
     slopes, known = slopes or Slopes(experiment), None
-    for _ in range(rounds):
+    for _ in range(SETTLING):
         before = fit.log_likelihood
         made, known = polished_on(experiment, fit, slopes.of(fit) if known is None else known,
                                   ROUGH_STEPS, ROUGHLY)
@@ -134,8 +123,7 @@ def settled(experiment: Experiment, fit: Fit, slopes: Slopes | None = None, roun
         if fit is made:
             break
         known = None  # under other gains the slopes are others
-    return polished_on(experiment, fit, slopes.of(fit) if known is None else known, 12,
-                       tolerance)[0]
+    return polished_on(experiment, fit, slopes.of(fit) if known is None else known, 12, 0.3)[0]
 
 
 def looked(experiment: Experiment, start: Fit, slopes: Slopes | None = None) -> Fit:
@@ -205,8 +193,7 @@ def joined(experiment: Experiment, fit: Fit, what: tuple[Column, ...], ranked: R
             theta[f.place] = f.outward(now)
         elif own_sizes(column.start):
             values[column.name] = guess(column, amplitude)
-    free = [f for f in free if not f.of_rig] + informed(
-        experiment, what, ranked)
+    free = [f for f in free if not f.of_rig] + informed(experiment, what, ranked)
     for member in ranked.members:
         if member.variant < 0:
             continue
@@ -298,8 +285,7 @@ def evidence_of(experiment: Experiment, fit: Fit) -> float:
     likelihood = fit.log_likelihood - 0.5 * fit.e.size
     spreads = np.array([f.spread for f in fit.free])
     sign, logdet = np.linalg.slogdet(fit.covariance / np.outer(spreads, spreads))
-    occam = 0.5 * logdet if sign > 0 else -np.inf
-    return float(likelihood + occam)
+    return float(likelihood + (0.5 * logdet if sign > 0 else -np.inf))
 
 
 def discrepancy(experiment: Experiment, fit: Fit) -> float:

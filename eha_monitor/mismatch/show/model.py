@@ -134,7 +134,7 @@ def robust(experiment: Experiment, fit: Fit, of_rig: bool = True) -> Fit:
                           if of_rig and f not in fit.free))
     w = whitener(fit.s)
     white = np.nan_to_num(fit.e) @ w.T
-    slopes = sensitivities(experiment, fit.theta, fit.active, fit.gains, fit.e,
+    slopes = sensitivities(experiment, fit.active, fit.gains, fit.e,
                            [step_of(f, fit.theta, experiment.log_step) for f in whole])
     d = np.stack([np.nan_to_num(slope) @ w.T for slope in slopes])
     along = tangents(whole, fit.theta, directions(whole, fit.theta, fit.active))
