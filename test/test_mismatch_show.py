@@ -164,7 +164,8 @@ def test_force_residual_of_a_mass_on_a_damper():
     assert force == pytest.approx(np.hypot(120.0, 40.0) / np.sqrt(2.0), rel=0.1)
     assert residual < 0.01 * force
     dry = forced(10.0)
-    found = shown(dry, nominal_fit(dry), None)
+    nominal = nominal_fit(dry)
+    found = shown(dry, nominal, nominal)
     assert found["force"].unit == "N"
     assert 2.0 < found["force"].before_rms < 8.0  # 10 N, of which the damping takes a part
 

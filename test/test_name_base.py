@@ -192,7 +192,7 @@ def test_what_the_ranking_promises_is_what_the_refit_gains(effect, strength):
     slopes = Slopes(experiment, fit, columns)
     bare, named = (polished(experiment, joined(experiment, fit, columns.what, one), slopes)
                    for one in (none, promised))
-    gained = evidence_of(experiment, named) - evidence_of(experiment, bare)
+    gained = evidence_of(named) - evidence_of(bare)
     wanted = (promised.evidence - promised.prior) - (none.evidence - none.prior)
     assert 30.0 < wanted < 200.0
     assert gained == pytest.approx(wanted, rel=0.05)

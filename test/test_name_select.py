@@ -143,8 +143,7 @@ def test_a_clean_model_lacks_nothing_and_one_without_its_friction_much():
     for case, fit in ((clean, clean.before), (rubbing, rubbing.after)):
         assert discrepancy(case.experiment, fit) < 100.0
     assert discrepancy(rubbing.experiment, rubbing.before) > 1000.0
-    gained = evidence_of(rubbing.experiment, rubbing.after) - evidence_of(
-        rubbing.experiment, rubbing.before)
+    gained = evidence_of(rubbing.after) - evidence_of(rubbing.before)
     assert gained == pytest.approx(
         rubbing.after.log_likelihood - rubbing.before.log_likelihood, rel=0.05)
 
@@ -155,7 +154,7 @@ def test_the_evidence_of_a_useless_effect_is_lower():
     with_it = settled(clean.experiment, with_effect(
         clean.before, starts_of("constant_load", clean.experiment)[0], (0.01,)))
     assert with_it.log_likelihood > clean.before.log_likelihood - 1.0
-    assert evidence_of(clean.experiment, with_it) < evidence_of(clean.experiment, clean.before)
+    assert evidence_of(with_it) < evidence_of(clean.before)
 
 
 def test_the_best_set_s_score_is_its_odds_where_nothing_is_left():
@@ -317,7 +316,7 @@ def test_each_member_of_the_best_set_is_taken_away_once():
     without_each(rubbing.experiment, refits)
     assert refits.best() == {"coulomb_friction"}  # a load of nothing is no member
     assert refits.evidence[frozenset({"coulomb_friction"})] == pytest.approx(
-        evidence_of(rubbing.experiment, alone), abs=1.0)
+        evidence_of(alone), abs=1.0)
 
 
 def test_a_number_known_to_a_factor_is_tried_far_off_only_where_something_is_lacking():

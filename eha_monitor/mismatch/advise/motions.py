@@ -193,8 +193,13 @@ def _tidy(value: float) -> float:
 
 
 def planned(experiment: Experiment, fit: Fit, limits: Limits, motion: Motion) -> Experiment:
-    """Return a motion as an experiment: the fitted model's own outputs, without noise."""
-    return without_noise(with_motion(experiment, fit, limits, motion), fit)
+    """Return a motion as an experiment: the fitted model's own outputs, without noise.
+
+    The rig is at rest where the motion begins, and is driven by it.
+    """
+    blank = (forced(experiment, fit, limits, motion) if experiment.mode == FORCED else
+             demanded(experiment, fit, motion.name, demand_of(motion, experiment.dt)))
+    return without_noise(blank, fit)
 
 
 def without_noise(blank: Experiment, fit: Fit) -> Experiment:
@@ -203,13 +208,6 @@ def without_noise(blank: Experiment, fit: Fit) -> Experiment:
     clean = free_run(blank, stretch, fit)
     clean[~np.isfinite(stretch.z)] = np.nan
     return blank.only((replace(stretch, z=clean),))
-
-
-def with_motion(experiment: Experiment, fit: Fit, limits: Limits, motion: Motion) -> Experiment:
-    """Return the rig at rest where a motion begins, driven by it."""
-    if experiment.mode == FORCED:
-        return forced(experiment, fit, limits, motion)
-    return demanded(experiment, fit, motion.name, demand_of(motion, experiment.dt))
 
 
 def demand_of(motion: Motion, dt: float) -> np.ndarray:
@@ -242,8 +240,8 @@ def at_rest(fit: Fit, x_d: float) -> np.ndarray:
 def forced(experiment: Experiment, fit: Fit, limits: Limits, motion: Motion) -> Experiment:
     """Return a motion of a rig whose driving force is measured: the force that it takes."""
     dt = experiment.dt
-    time = np.arange(max(4, round(motion.duration / dt))) * dt
-    x_d = demanded_position(motion.segments, time)
+    x_d = demand_of(motion, dt)
+    time = np.arange(len(x_d)) * dt
     left, x = np.exp(-2.0 * dt / limits.loop), x_d - x_d[0]
     for _ in range(2):  # two poles, so that the force stays finite at corners
         x = lagged(x, left)
@@ -262,8 +260,7 @@ def forced(experiment: Experiment, fit: Fit, limits: Limits, motion: Motion) -> 
     if experiment.used[1]:
         z[:, 1] = 0.0
     stretch = Stretch(motion.name, 0.0, z, cubics(force, 0.0), track[:, s.P1].copy(),
-                      track[:, s.P2].copy(),
-                      time >= BURN_IN, np.zeros(len(time), dtype=bool))
+                      track[:, s.P2].copy(), time >= BURN_IN, np.zeros(len(time), dtype=bool))
     return experiment.only((stretch,))
 
 

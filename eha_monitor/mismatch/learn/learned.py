@@ -39,8 +39,7 @@ SHARP = 0.02  # of the largest speed: over which a term that follows the directi
 # What a term adds to -> which unknown of the filter stands for it, and its balance.
 UNKNOWN = {"force": "force", "flow": "flow", "flow_1": "flow_1", "flow_2": "flow_2",
            "speed": "drive"}
-BALANCE = {"force": "force", "flow": "flow", "flow_1": "flow", "flow_2": "flow",
-           "speed": "drive"}
+BALANCE = {adds: unknown.partition("_")[0] for adds, unknown in UNKNOWN.items()}
 
 
 @dataclass(frozen=True)
@@ -74,13 +73,11 @@ def forms_of(experiment: Experiment) -> tuple[Form, ...]:
     """Return the forms that an experiment's channels can tell apart."""
     found = [Form("force", "v"), Form("force", "x"), Form("force", "x", "direction"),
              Form("force", "x", "v")]
-    if experiment.mode != FORCED:  # else they are the force itself
-        found += [Form("force", "p", "direction"), Form("force", "dp", "direction")]
-    if experiment.mode == FORCED:
+    if experiment.mode == FORCED:  # the pressures are the force itself
         return tuple(found)
-    found += [Form("flow", "dp"), Form("flow", "x"), Form("flow", "v"), Form("flow", "x", "dp"),
-              Form("flow_1", "p1"), Form("flow_2", "p2")]
-    found.append(Form("flow", "angle", "omega"))
+    found += [Form("force", "p", "direction"), Form("force", "dp", "direction"),
+              Form("flow", "dp"), Form("flow", "x"), Form("flow", "v"), Form("flow", "x", "dp"),
+              Form("flow_1", "p1"), Form("flow_2", "p2"), Form("flow", "angle", "omega")]
     if experiment.mode == CLOSED:
         found += [Form("speed", "omega"), Form("speed", "x")]
     return tuple(found)
@@ -100,13 +97,7 @@ def factor_along(track: np.ndarray, times: str, scale: float) -> np.ndarray:
     """Return what a table is multiplied by along a trajectory, (n,)."""
     if times == "direction":
         return np.tanh(track[:, s.V] / scale)
-    if times == "v":
-        return track[:, s.V] / scale
-    if times == "dp":
-        return signal_along(track, "dp") / scale
-    if times == "omega":
-        return track[:, s.OMEGA] / scale
-    return np.ones(len(track))
+    return np.ones(len(track)) if times == "none" else signal_along(track, times) / scale
 
 
 @dataclass(frozen=True)
@@ -292,14 +283,10 @@ class Learned:
         """Places of the values, (count,) SI."""
         return self.table.knots(self.count)
 
-    def places(self) -> list[int]:
-        """Return the places of the values in the fit's covariance."""
-        names = [f.name for f in self.fit.free]
-        return [names.index(knot_name(self.which, i)) for i in range(self.count)]
-
     def covariance(self) -> np.ndarray:
         """Return the covariance of the values, (count, count)."""
-        places = self.places()
+        names = [f.name for f in self.fit.free]
+        places = [names.index(knot_name(self.which, i)) for i in range(self.count)]
         return self.fit.covariance[np.ix_(places, places)]
 
     def curve(self, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -358,7 +345,7 @@ def score_of(experiment: Experiment, fit: Fit) -> float:
     """Return the evidence of a model, prior odds of its names included, log units."""
     if not np.isfinite(fit.log_likelihood):
         return -np.inf
-    return evidence_of(experiment, fit) + log_prior(fit.named, experiment.policy)
+    return evidence_of(fit) + log_prior(fit.named, experiment.policy)
 
 
 def fitted(experiment: Experiment, start: Fit, which: int, guess: Guess, count: int,

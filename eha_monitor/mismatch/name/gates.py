@@ -214,8 +214,7 @@ def _signs(experiment: Experiment, fit: Fit) -> Iterator[Gate]:
                 found.append((flow * np.sign(dp))[np.abs(dp) > np.median(np.abs(dp))])
             return np.concatenate(found)
 
-        if _surely_negative(
-                fit, leak, laws["pressure"], experiment.policy.sure) is not None:
+        if _surely_negative(fit, leak, laws["pressure"], experiment.policy.sure) is not None:
             yield Gate("sign", laws["pressure"][-1], "the leak across the piston would flow from "
                        "the lower pressure to the higher")
 

@@ -119,8 +119,7 @@ def without_along(fit: Fit, name: str) -> np.ndarray:
     entry = CATALOGUE.get(name)
     sizes = {f"{name}.{p.name}": p.neutral for p in entry.sizes if not p.log} if entry else {}
     own = [i for i, f in enumerate(fit.free) if f.name == name or f.name in sizes]
-    others = [i for i, f in enumerate(fit.free)
-              if f.owner != name]
+    others = [i for i, f in enumerate(fit.free) if f.owner != name]
     absent = np.array([sizes.get(fit.free[i].name, fit.free[i].prior) for i in own])
     theta = fit.theta.copy()
     if not own or not np.isfinite(absent).all() or len(fit.covariance) != len(fit.free):

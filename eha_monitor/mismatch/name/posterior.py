@@ -49,7 +49,7 @@ class Refits:
 
     def add(self, experiment: Experiment, names: Names, fit: Fit, anyway: bool = False) -> None:
         """Keep a fit of a set, if it is one and better than what is there, or ``anyway``."""
-        value = evidence_of(experiment, fit) if np.isfinite(fit.log_likelihood) else -np.inf
+        value = evidence_of(fit) if np.isfinite(fit.log_likelihood) else -np.inf
         if not np.isfinite(value):
             return
         if names and (impossible(fit, self.policy.sure) or too_small(experiment, fit)):

@@ -277,7 +277,7 @@ def guess(column: Column, amplitude: float) -> float:
     return float(min(max(value, p.lower), p.upper))
 
 
-def evidence_of(experiment: Experiment, fit: Fit) -> float:
+def evidence_of(fit: Fit) -> float:
     """Return Laplace's evidence of a fitted set, without its prior odds, log units.
 
     Comparable with :class:`Ranked`: both are of innovations with their own scale.

@@ -75,9 +75,11 @@ def changed_between(experiment: Experiment, recordings: list[Recording], naming:
     if reached - constant < max(
             policy.effect / -policy.temper, policy.explained * (expected - constant)):
         return None
-    pieces = tuple(Piece(part.stretches[0].source, float(part.stretches[0].start), end_of(part),
-                         values_of(part, robust(part, fit, of_rig=False)))
-                   for part, fit in zip(parts, fits, strict=True))
+    pieces = tuple(Piece(
+        part.stretches[0].source, float(part.stretches[0].start),
+        float(part.stretches[-1].start + len(part.stretches[-1]) * part.dt),
+        values_of(part, robust(part, fit, of_rig=False)))
+        for part, fit in zip(parts, fits, strict=True))
     if not any(differ(one.values, other.values, policy)
                for one, other in pairwise(pieces)):
         return None
@@ -110,12 +112,6 @@ def part_of(experiment: Experiment, source: str, start: float, stop: float) -> E
             stretches.append(cut(stretch, here[0], here[-1] + 1, experiment.dt))
     fitted = sum(int(stretch.counted.sum()) for stretch in stretches) * experiment.dt
     return experiment.only(tuple(stretches)) if fitted >= SHORTEST_S else None
-
-
-def end_of(part: Experiment) -> float:
-    """Return the time at which the last stretch ends, s."""
-    last = part.stretches[-1]
-    return float(last.start + len(last) * part.dt)
 
 
 def differ(one: dict[str, Value], other: dict[str, Value], policy: SearchPolicy) -> list[str]:

@@ -50,8 +50,7 @@ class FreeRuns:
 
     def residual(self, output: int) -> np.ndarray:
         """Return the residuals of one output, all windows joined; (k,), NaN left out."""
-        whole = [e[:, output] for e in self.e]
-        joined = np.concatenate(whole) if whole else np.zeros(0)
+        joined = np.concatenate([e[:, output] for e in self.e])
         return joined[np.isfinite(joined)]
 
 
@@ -133,13 +132,13 @@ def whiteness(experiment: Experiment, fit: Fit) -> np.ndarray:
     return found
 
 
-def shown(experiment: Experiment, before: Fit, after: Fit | None) -> dict[str, SignalFit]:
+def shown(experiment: Experiment, before: Fit, after: Fit) -> dict[str, SignalFit]:
     """Return how far both models miss what they have not seen, signal by signal.
 
     Parameters
     ----------
     experiment : with held-out samples, or another recording of the rig without.
-    after : the model with the named effects; None where there is none: then as before.
+    after : the model with the named effects; ``before`` where there are none.
 
     Returns
     -------
@@ -147,7 +146,7 @@ def shown(experiment: Experiment, before: Fit, after: Fit | None) -> dict[str, S
         ``position``, ``velocity``, ``pressure_1``, ``pressure_2``, ``pump_speed`` where measured,
         and ``force`` where the force drives the model.
     """
-    models = [before] if after is None or after is before else [before, after]
+    models = [before] if after is before else [before, after]
     runs = [free_runs(experiment, fit) for fit in models]
     white = spread(lambda fit: whiteness(experiment, fit), models)
     found = {}
@@ -166,11 +165,6 @@ def shown(experiment: Experiment, before: Fit, after: Fit | None) -> dict[str, S
         found["force"] = SignalFit("N", forces[0][0], forces[-1][0], float("nan"),
                                    signal_rms=forces[-1][1])
     return found
-
-
-def worse(signals: dict[str, SignalFit], policy: SearchPolicy) -> bool:
-    """Tell whether a model does worse on unseen data than the one before."""
-    return bool(unseen_gates(signals, policy))
 
 
 def unseen_gates(signals: dict[str, SignalFit], policy: SearchPolicy) -> tuple[Gate, ...]:
@@ -285,7 +279,8 @@ def force_left(experiment: Experiment, fit: Fit, modelled: Callable) -> tuple[fl
         v = np.gradient(x, dt)
         a = np.gradient(v, dt)
         both = low_pass(min(BALANCE, 0.1 / dt), dt)
-        force = both(driving_force(experiment, fit, stretch))
+        force = both(stretch.u[:, 0] if experiment.mode == FORCED else
+                     fit.theta[s.AREA_1] * stretch.p1 - fit.theta[s.AREA_2] * stretch.p2)
         moving = mask & (np.abs(v) > STANDING * np.quantile(np.abs(v), 0.998))
         residuals.append((force - both(modelled(stretch, x, v, a)))[moving])
         forces.append(force[moving])
@@ -308,20 +303,13 @@ def righted(experiment: Experiment, fit: Fit, stretch: Stretch) -> Stretch:
                    p2=true_pressure(np.interp(late, t, stretch.p2), "p2", w, t))
 
 
-def driving_force(experiment: Experiment, fit: Fit, stretch) -> np.ndarray:
-    """Return the force that drives the piston, N (n,)."""
-    if experiment.mode == FORCED:
-        return stretch.u[:, 0]
-    return fit.theta[s.AREA_1] * stretch.p1 - fit.theta[s.AREA_2] * stretch.p2
-
-
-def overlays(experiment: Experiment, before: Fit, after: Fit | None) -> tuple[Overlay, ...]:
+def overlays(experiment: Experiment, before: Fit, after: Fit) -> tuple[Overlay, ...]:
     """Return for each signal the held-out second in which the model before is worst.
 
     Both models run free in it.
     """
     run_1 = free_runs(experiment, before, OVERLAY)
-    run_2 = run_1 if after is None else free_runs(experiment, after, OVERLAY)
+    run_2 = run_1 if after is before else free_runs(experiment, after, OVERLAY)
     found = []
     for j in experiment.columns:
         errors = []
@@ -360,12 +348,12 @@ def parts_of(experiment: Experiment, tracks: list[np.ndarray]
     return found
 
 
-def agreement(experiment: Experiment, before: Fit, after: Fit | None) -> tuple[Agreement, ...]:
+def agreement(experiment: Experiment, before: Fit, after: Fit) -> tuple[Agreement, ...]:
     """Return B and beta_e from parts of the record, all else held.
 
     A model that lacks nothing finds the same in each of them.
     """
-    models = [before] if after is None or after is before else [before, after]
+    models = [before] if after is before else [before, after]
     parts = parts_of(experiment, filtered_tracks(experiment, models[-1]))
 
     def one(task: tuple[list[np.ndarray], Fit]) -> dict[str, Value]:

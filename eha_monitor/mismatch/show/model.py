@@ -55,8 +55,8 @@ def of_the_areas(experiment: Experiment) -> float:
 
     Every size of the force balance has that error, and no fit can know of it.
     """
-    made = experiment.by_pressures
-    return experiment.settings.rig.tolerance.log_spread("area_1") if made else 0.0
+    rig = experiment.settings.rig
+    return rig.tolerance.log_spread("area_1") if experiment.by_pressures else 0.0
 
 
 def fitted_of(fit: Fit) -> Fitted:
@@ -171,8 +171,7 @@ def prior_covariance(experiment: Experiment, free: Sequence[Free]) -> np.ndarray
     both chambers alike is one number with one error: beta_e is no better known than the volume.
     """
     rig = experiment.settings.rig
-    places = {f.symbol: i for i, f in enumerate(free)
-              if f.of_rig}
+    places = {f.symbol: i for i, f in enumerate(free) if f.of_rig}
     spread = np.array([f.spread for f in free])
     known = np.diag(spread**2)
     for one, other in TWICE:
