@@ -319,9 +319,7 @@ def asked_of(recording: Recording, settings: Settings) -> Asked | None:
     if settings.effects.get(NAMES[LINE]):
         return None  # a line is late by itself, and is not in this filter
     part = Recording(dt, cut)
-    if beyond(cut):
-        return None
-    if missing(settings, part.channels)[1] is not None:
+    if beyond(cut) or missing(settings, part.channels)[1] is not None:
         return None
     noise = noise_levels(part, settings.noise)
     recorded, _ = without_spikes(dict(part.channels), noise)
@@ -331,27 +329,19 @@ def asked_of(recording: Recording, settings: Settings) -> Asked | None:
         gain = gain_followed(channels, noise, rig)
         if gain is None:
             channels = {name: values for name, values in channels.items() if name != "x_d"}
-        else:
-            settings = with_gain(settings, gain)
-            rig = settings.rig
+        elif gain != rig.position_gain:
+            rig = rig.model_copy(update={"position_gain": gain})
+            settings = settings.model_copy(update={"rig": rig})
     if missing(settings, channels)[1] is not None:
         return None  # the pump does not do as told, and what it does is not recorded
     by_demand = "x_d" in channels and rig.position_gain is not None
-    inputs = [open_input(recorded, channels, noise, settings, hold, dt)
-              for hold in (CONTINUOUS, SAMPLED)]
-    if any(one is None for one in inputs):
+    continuous, sampled = (open_input(recorded, channels, noise, settings, hold, dt)
+                           for hold in (CONTINUOUS, SAMPLED))
+    if continuous is None or sampled is None:
         return None
-    continuous, sampled = inputs
     sigma = noise["x"].value * abs(rig.position_gain) if by_demand else noise["omega"].value
     return Asked(stretches_of(channels, noise, settings, continuous, sigma, dt), continuous,
                  sampled, "x_d" if by_demand else "omega")
-
-
-def with_gain(settings: Settings, gain: float) -> Settings:
-    """Return the settings with this K_pos, rad/(s m)."""
-    rig = settings.rig
-    return settings if gain == rig.position_gain else settings.model_copy(
-        update={"rig": rig.model_copy(update={"position_gain": gain})})
 
 
 def gain_followed(channels: dict[str, np.ndarray], noise: dict[str, NoiseEstimate], rig: Rig
@@ -386,20 +376,20 @@ def follows(channels: dict[str, np.ndarray], noise: dict[str, NoiseEstimate],
                                                     gain * noise["x"].value))
 
 
-def white(left: np.ndarray) -> bool:
+def white(left: np.ndarray, block: int = BLOCK) -> bool:
     """Tell whether residuals in standard deviations of the noise are no more than that, (n,)."""
-    blocks = len(left) // BLOCK
+    blocks = len(left) // block
     if not blocks:
         return True
-    means = left[: blocks * BLOCK].reshape(blocks, BLOCK).mean(axis=1) * np.sqrt(BLOCK)
+    means = left[: blocks * block].reshape(blocks, block).mean(axis=1) * np.sqrt(block)
     return bool(np.mean(left**2) < IDEAL and np.mean(means**2) < IDEAL)
 
 
 def open_input(recorded: dict, channels: dict, noise: dict, settings: Settings, hold: str,
                dt: float) -> Hold | None:
     """Return the pump's speed in each sample under a hold, without gaps; None where none came."""
-    model = RigModel.of(with_hold(settings, hold), commanded="x_d" in channels)
-    model = replace(model, loop=False)
+    model = replace(RigModel.of(with_hold(settings, hold), commanded="x_d" in channels),
+                    loop=False)
     made = drive_input(model, recorded, channels, noise, dt).hold
     lines = []
     for line in (made.start, made.end):

@@ -208,7 +208,9 @@ def stage_result(stage: Stage, out: list[np.ndarray], seen: Changes, inputs: Inp
     parameter, unit = stage.judged(settings, value[-1], stddev[-1]), stage.unit(settings)
     verdict = stage_verdict(stage, parameter, innovation, sigma,
                             Window(inputs.dt, inputs.quantum), seen.rows)
-    first = first_converged(value, stddev, stage.prior(settings).prior_stddev)
+    prior_stddev = stage.prior(settings).prior_stddev
+    first = first_where(lambda v, s: (s < CONVERGED * v) & (s < prior_stddev / GAINED),
+                        value, stddev)
     if first is not None:
         events.append(Event(first * inputs.dt, stage.key,
                             f"{SYMBOLS[stage.parameter]} converged at "
@@ -253,12 +255,6 @@ def as_it_stands(event: Event, model: ModelStatus, stages: tuple[StageResult, St
     elif ended is not None and ended.status != "converged":
         said = f"it did not stay so: {ended.status} at the end"
     return replace(event, message=f"{event.message} ({said})") if said else event
-
-
-def first_converged(value: np.ndarray, stddev: np.ndarray, prior_stddev: float) -> int | None:
-    """Return the first sample at which a parameter counts as converged."""
-    return first_where(lambda v, s: (s < CONVERGED * v) & (s < prior_stddev / GAINED),
-                       value, stddev)
 
 
 def hand_over(one: StageResult, settings: Settings, recording: Recording, events: list[Event],
