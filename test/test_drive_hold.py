@@ -11,8 +11,13 @@ import pytest
 from hold_parts.plant import Motion, Noise, Rig, recorded
 
 from eha_monitor.balances.measured import course_of
-from eha_monitor.estimation.drive_hold import followed, lagged, weights_of
-from eha_monitor.estimation.hold_choice import evidence_of_drive, resolved
+from eha_monitor.estimation.hold_choice import (
+    evidence_of_drive,
+    followed,
+    lagged,
+    resolved,
+    weights_of,
+)
 from eha_monitor.estimation.pipeline import estimate
 from eha_monitor.mismatch.data.experiment import experiment_of
 from eha_monitor.mismatch.diagnose import diagnose

@@ -9,7 +9,7 @@ from rig_tools import BETA, SINE, B, settings, simulated
 
 from eha_monitor.api.diagnosis_answer import answer
 from eha_monitor.mismatch.data.experiment import experiment_of
-from eha_monitor.mismatch.data.stretch import cut
+from eha_monitor.mismatch.data.inputs import cut
 from eha_monitor.mismatch.diagnose import diagnose
 from eha_monitor.mismatch.diagnosis import NamedEffect, Value, health_sentences
 from eha_monitor.mismatch.name.naming import Naming

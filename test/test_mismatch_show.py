@@ -9,7 +9,7 @@ from mismatch_tools import fitted, nominal_fit
 from rig_tools import MULTISINE, B, real, settings, simulated, with_channels
 
 from eha_monitor.mismatch.data.experiment import experiment_of
-from eha_monitor.mismatch.data.stretch import cut
+from eha_monitor.mismatch.data.inputs import cut
 from eha_monitor.mismatch.diagnose import diagnose
 from eha_monitor.mismatch.diagnosis import Agreement, Value
 from eha_monitor.mismatch.name.polish import Slopes, polished

@@ -15,9 +15,8 @@ from eha_monitor.mismatch.data.experiment import experiment_of
 from eha_monitor.mismatch.likelihood.fit import remade
 from eha_monitor.mismatch.name.candidates import log_prior
 from eha_monitor.mismatch.name.columns import rig_free
-from eha_monitor.mismatch.name.finalists import finish
+from eha_monitor.mismatch.name.finalists import finish, lesser, without_each
 from eha_monitor.mismatch.name.naming import in_place_of
-from eha_monitor.mismatch.name.neighbours import lesser, without_each
 from eha_monitor.mismatch.name.nominal import lacks, nominal_model, resolved_nominal, with_rig
 from eha_monitor.mismatch.name.polish import Slopes, polished
 from eha_monitor.mismatch.name.posterior import Refits, posterior

@@ -19,16 +19,19 @@ from eha_monitor.estimation.sensors import (
     without_spikes,
 )
 from eha_monitor.mismatch.data.inputs import (
+    BURN_IN,
     CLOSED,
     FORCED,
     OPEN,
+    Rows,
+    Stretch,
     angle_of,
     course_of,
     noise_governs,
     present,
     speed_of,
+    windows_of,
 )
-from eha_monitor.mismatch.data.stretch import BURN_IN, Rows, Stretch, windows_of
 from eha_monitor.mismatch.policy import POLICY, SearchPolicy
 from eha_monitor.physics.contributions import NAMES, circuit_of
 from eha_monitor.physics.effect import Ranges

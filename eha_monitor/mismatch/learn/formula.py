@@ -20,7 +20,7 @@ from eha_monitor import ties
 from eha_monitor.mismatch.data.experiment import Experiment
 from eha_monitor.mismatch.learn.learned import SHARPEST, Form, Learned, score_of
 from eha_monitor.mismatch.likelihood.fit import Fit, Free, remade, spread
-from eha_monitor.mismatch.name.neighbours import CLOSE
+from eha_monitor.mismatch.name.finalists import CLOSE
 from eha_monitor.mismatch.name.refit import settled
 from eha_monitor.physics.contributions import ALL_NAMES, slot_of
 from eha_monitor.physics.own_term import ADDED_UNITS, CONSTANTS, OF_UNITS, expressed_along, parsed

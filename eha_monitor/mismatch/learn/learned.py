@@ -18,8 +18,8 @@ from eha_monitor.mismatch.likelihood.gains import smallest_unknowns
 from eha_monitor.mismatch.name.before import informative
 from eha_monitor.mismatch.name.candidates import log_prior
 from eha_monitor.mismatch.name.columns import Column, Columns, columns_at
+from eha_monitor.mismatch.name.finalists import CLOSE, lesser
 from eha_monitor.mismatch.name.naming import Naming
-from eha_monitor.mismatch.name.neighbours import CLOSE, lesser
 from eha_monitor.mismatch.name.nominal import with_rig
 from eha_monitor.mismatch.name.proposals import weighed
 from eha_monitor.mismatch.name.rank import Ranked

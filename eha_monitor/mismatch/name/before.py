@@ -19,7 +19,7 @@ import numpy as np
 
 from eha_monitor import ties
 from eha_monitor.mismatch.data.experiment import SHORTEST, Experiment, Stretch
-from eha_monitor.mismatch.data.stretch import cut, most_informative
+from eha_monitor.mismatch.data.inputs import cut, most_informative
 from eha_monitor.mismatch.likelihood.fit import Fit, spread, with_unknowns
 from eha_monitor.mismatch.name.columns import columns_at
 from eha_monitor.mismatch.name.gram import grams_of

@@ -10,8 +10,15 @@ from eha_monitor.mismatch.data.experiment import Experiment
 from eha_monitor.mismatch.likelihood.fit import Fit, spread, with_unknowns
 from eha_monitor.mismatch.name.before import FirstView, informative
 from eha_monitor.mismatch.name.columns import FAR_OFF, LOOSE, columns_at, rig_free
-from eha_monitor.mismatch.name.finalists import FINALISTS, caught_up, finish, gated, within_reach
-from eha_monitor.mismatch.name.neighbours import CLOSE, without
+from eha_monitor.mismatch.name.finalists import (
+    CLOSE,
+    FINALISTS,
+    caught_up,
+    finish,
+    gated,
+    within_reach,
+    without,
+)
 from eha_monitor.mismatch.name.nominal import (
     bent,
     from_config,

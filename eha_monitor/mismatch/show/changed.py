@@ -12,7 +12,7 @@ import numpy as np
 
 from eha_monitor.estimation.pipeline import estimate
 from eha_monitor.mismatch.data.experiment import Experiment
-from eha_monitor.mismatch.data.stretch import cut
+from eha_monitor.mismatch.data.inputs import cut
 from eha_monitor.mismatch.diagnosis import HEALTH_WORDS, Piece, Value
 from eha_monitor.mismatch.likelihood.fit import (
     Fit,

@@ -10,8 +10,7 @@ from eha_monitor.balances.course import STANDING
 from eha_monitor.estimation.consistency import variance_ratios
 from eha_monitor.estimation.sensors import true_position, true_pressure
 from eha_monitor.mismatch.data.experiment import Experiment
-from eha_monitor.mismatch.data.inputs import FORCED
-from eha_monitor.mismatch.data.stretch import Stretch
+from eha_monitor.mismatch.data.inputs import FORCED, Stretch
 from eha_monitor.mismatch.diagnosis import Agreement, Gate, Overlay, SignalFit, Value
 from eha_monitor.mismatch.likelihood.along import filtered_tracks, played, signals_along
 from eha_monitor.mismatch.likelihood.fit import Fit, filtered, spread
