@@ -241,14 +241,13 @@ class Lagged(NamedTuple):
     Attributes
     ----------
     log_likelihood : log units.
-    lag : s; ``gain`` : of the speed over the input.
+    lag : s.
     left : (n,) rad/s, what the drive's equation leaves of the speed.
     through : variance of the speed over that of white noise on the input.
     """
 
     log_likelihood: float
     lag: float
-    gain: float
     left: np.ndarray
     through: float
 
@@ -309,7 +308,7 @@ def lagged(start: np.ndarray, end: np.ndarray, omega: np.ndarray, there: np.ndar
     pole, first, last = weights_of(lag, dt)
     through = (first**2 + last**2 + 2.0 * pole * first * last) / (1.0 - pole**2)
     log_likelihood = -0.5 * n * math.log(max(squares / n, SAME_SPEED**2))
-    return Lagged(log_likelihood, lag, float(found[0]), left, float(found[0]) ** 2 * through)
+    return Lagged(log_likelihood, lag, left, float(found[0]) ** 2 * through)
 
 
 def evidence_of_drive(recording: Recording, settings: Settings) -> tuple[float, str] | None:

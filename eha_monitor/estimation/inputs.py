@@ -281,11 +281,6 @@ class PiecedInputs:
         self._course, self._spikes, self._seen = Table(), {}, 0
 
     @property
-    def measured_force(self) -> np.ndarray:
-        """Of the sample."""
-        return self.facts.measured_force
-
-    @property
     def rest(self) -> np.ndarray:
         """Of the sample."""
         return self.facts.rest

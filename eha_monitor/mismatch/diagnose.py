@@ -24,9 +24,10 @@ from eha_monitor.mismatch.beside_balances import (
 from eha_monitor.mismatch.data.experiment import (
     Experiment,
     by_balances,
-    by_held_side,
     experiment_of,
+    mode_of,
 )
+from eha_monitor.mismatch.data.inputs import FORCED
 from eha_monitor.mismatch.diagnosis import Diagnosis, Location, Window
 from eha_monitor.mismatch.holds import as_it_reads, searched
 from eha_monitor.mismatch.likelihood.fit import Fit
@@ -113,7 +114,8 @@ def _diagnosed(recordings: list[Recording], settings: Settings, held_out: Record
     if by_balances(recordings, settings):
         say("least squares on the balances", 0.1)
         found = answered(recordings, settings, Asked(held_out, hypothesis, without, vary))
-        if by_held_side(recordings, settings):
+        # Where a pump drives a config with a make-up path there is no other reason.
+        if mode_of(recordings[0], settings) != FORCED and settings.rig.makeup_conductance > 0.0:
             found = replace(found, advice=(HELD, *found.advice))
         return Answered(found, None, False)
     started = time.perf_counter()

@@ -87,8 +87,6 @@ class Experiment:
     ranges : what the record covers.
     position_step : resolution of the position sensor, m; 0 where it is continuous.
     input_noise : standard deviation of the noise on a measured input, in its unit.
-    largest_unknown : how far unknown force, flow and speed may go, times their smallest; 1e4
-        times is what the record covers.
     wanted_speed : the input of ``CLOSED`` is the speed that the drive was told, not x_d.
     by_pressures : the input of ``FORCED`` is what the pressure sensors say.
     held : the drive holds its command over each sample, a digital controller.
@@ -113,10 +111,8 @@ class Experiment:
     ranges: Ranges
     position_step: float = 0.0
     input_noise: float = 0.0
-    spikes: dict[str, int] = field(default_factory=dict)
     wanted_speed: bool = False
     drift: float = 0.0
-    largest_unknown: float = 3e4
     by_pressures: bool = False
     held: bool = False
     hears: bool = True
@@ -162,7 +158,7 @@ def experiment_of(recordings: list[Recording], settings: Settings,
     wanted = mode == CLOSED and wants_speed(first)
     if wanted:
         theta[K_POS] = PULL
-    levels, spikes, parts, columns = {}, {}, [], []
+    levels, parts, columns = {}, [], []
     for recording in recordings:
         if abs(recording.sample_time - first.sample_time) > 1e-6 * first.sample_time:
             raise InputError(f"{recording.source}: expected the sample time of {first.source}, "
@@ -177,12 +173,10 @@ def experiment_of(recordings: list[Recording], settings: Settings,
             one for one in chosen if one.recording == number]
         for one in windows:
             rows = recording if chosen is None else rows_of(recording, one.first, one.last)
-            channels, found = without_spikes({name: rows.channels[name] for name in names}, noise)
+            channels, _ = without_spikes({name: rows.channels[name] for name in names}, noise)
             begun = one.first * recording.sample_time
             if mode == FORCED:  # the sensors drive the model
                 channels |= meant(channels, circuit, begun, recording.sample_time)
-            for name, count in found.items():
-                spikes[name] = spikes.get(name, 0) + count
             parts += stretches_of(rows, channels, settings, mode, levels, hold_out, begun)
             columns.append(channels)
     if not parts:
@@ -198,7 +192,7 @@ def experiment_of(recordings: list[Recording], settings: Settings,
     return Experiment(settings, mode, first.sample_time,
                       integration_steps(settings, mode, first.sample_time), used, sigma, theta,
                       active, tuple(parts), ranges, step, input_noise(mode, settings, levels),
-                      spikes, wanted, circuit_drift(settings, mode, columns),
+                      wanted, circuit_drift(settings, mode, columns),
                       by_pressures=mode == FORCED and settings.rig.area_1 is not None
                       and "p1" in levels and "p2" in levels, held=is_held(mode, settings),
                       windows=chosen is not None, without=without)
@@ -292,15 +286,6 @@ def by_balances(recordings: Sequence[Recording], settings: Settings) -> bool:
     return (rig.area_1 != rig.area_2 and all(one.has("p1", "p2", "omega") for one in recordings)
             and (rig.makeup_conductance == 0.0
                  or all(_on_another_circuit(one, settings) for one in recordings)))
-
-
-def by_held_side(recordings: Sequence[Recording], settings: Settings) -> bool:
-    """Tell of recordings that the balances judge whether a side that is held is the reason.
-
-    Where a pump drives a config with a make-up path there is no other.
-    """
-    return (mode_of(recordings[0], settings) != FORCED
-            and settings.rig.makeup_conductance > 0.0)
 
 
 def _on_another_circuit(recording: Recording, settings: Settings) -> bool:

@@ -195,7 +195,7 @@ def columns_with(experiment: Experiment, fit: Fit, tables: Sequence[Table]) -> C
     tracks, terms = filtered_tracks(experiment, fit), []
     for one in tables:
         form = one.form
-        terms.append(Unnamed(form.name, UNKNOWN[form.adds], form.of, tuple(
+        terms.append(Unnamed(form.name, UNKNOWN[form.adds], tuple(
             cardinal(signal_along(track, form.of), KNOTS, one.first, one.last, form.periodic)
             * factor_along(track, form.times, one.scale)[:, None] for track in tracks)))
     return columns_at(experiment, fit, suspects=False, terms=terms)

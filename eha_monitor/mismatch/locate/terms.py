@@ -153,7 +153,6 @@ class Missing:
     tracks : for each stretch (n, N_SIGNALS), the smoothed trajectory.
     measured : for each stretch (n,), what the record needs; NaN where it does not say.
     modelled : for each stretch (n,), what the named effects make; None where nothing is named.
-    output : place of the sensor that errs, or -1.
     """
 
     balance: str
@@ -161,12 +160,6 @@ class Missing:
     tracks: tuple[np.ndarray, ...]
     measured: tuple[np.ndarray, ...]
     modelled: tuple[np.ndarray, ...] | None = None
-    output: int = -1
-
-    @property
-    def best(self) -> tuple[np.ndarray, ...]:
-        """The modelled term, which has no noise, or else the measured one."""
-        return self.measured if self.modelled is None else self.modelled
 
 
 def missing_terms(experiment: Experiment, before: Fit, after: Fit | None) -> list[Missing]:
@@ -296,4 +289,4 @@ def sensor_errors(experiment: Experiment, base: Fit, balance: str, outputs: list
         tuple(stretch.z[:, output] - track[:, SENSORS[output]]
               for stretch, track in zip(experiment.stretches, tracks, strict=True)),
         None if after is None else tuple(modelled_error(after, track, output)
-                                         for track in tracks), output) for output in outputs]
+                                         for track in tracks)) for output in outputs]

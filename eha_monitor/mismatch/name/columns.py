@@ -143,18 +143,21 @@ def columns_at(experiment: Experiment, fit: Fit, unnamed: bool = True, suspects:
 
     def moved(f: Free, owner: str, variant: int, size: bool = False) -> None:
         """Add a number that the model has."""
-        theta, step = rig_step(f, fit.theta) if f.of_rig else step_of(
-            f, fit.theta, experiment.log_step)
+        if f.of_rig:
+            theta, step = fit.theta.copy(), max(RIG_STEP * f.spread, 1e-5)
+            theta[f.place] *= np.exp(step)
+        else:
+            theta, step = step_of(f, fit.theta, experiment.log_step)
         now = f.inward(fit.theta[f.place])
         what.append(Column(owner, variant, f.name, (f.prior - now) / f.spread,
                            (f.inward(f.lower) - now) / f.spread,
                            (f.inward(f.upper) - now) / f.spread, f, size=size))
         moves.append((theta, fit.active, step / f.spread))
 
-    rig = rig_free(experiment, fit.named)
-    for f in (*(f for f in fit.free if not f.owner),
-              *(f for f in fit.free if timing_only(fit, f)),
-              *rig):
+    small_timing = [f for f in fit.free  # errors that every record has, and that have no name
+                    if f.owner and f.owner not in fit.named and not f.of_rig]
+    for f in (*(f for f in fit.free if not f.owner), *small_timing,
+              *rig_free(experiment, fit.named)):
         moved(f, ALWAYS, -1)
     for name in effects_of(fit):
         sizes = {p.name for p in CATALOGUE[name].sizes}
@@ -243,18 +246,6 @@ def grown_from(experiment: Experiment, fit: Fit) -> list[Start]:
                         values[key] = now
                 found.append(replace(start, values=tuple(values.items()), replaces=name))
     return found
-
-
-def timing_only(fit: Fit, f: Free) -> bool:
-    """Tell whether a free parameter is a small timing error, no effect that has a name."""
-    return bool(f.owner) and f.owner not in fit.named and not f.of_rig
-
-
-def rig_step(f: Free, theta: np.ndarray) -> tuple[np.ndarray, float]:
-    """Return theta with a number of the rig moved by a little, and the step of its logarithm."""
-    other, step = theta.copy(), max(RIG_STEP * f.spread, 1e-5)
-    other[f.place] *= np.exp(step)
-    return other, step
 
 
 def entering(fit: Fit, start: Start, variant: int, what: list, moves: list) -> None:

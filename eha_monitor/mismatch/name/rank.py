@@ -135,14 +135,11 @@ class Ranking:
         return [tuple(sorted((*kept, *subset))) for k in range(len(free) + 1)
                 for subset in combinations(free, k)]
 
-    def fits(self, members: tuple[Member, ...], other: Member) -> bool:
-        """Tell whether a suspect can join: one of a kind, and none that another contains."""
-        return bool(self.joining(members)[self.order[other]])
-
     def joining(self, members: tuple[Member, ...]) -> np.ndarray:
         """Return which suspects can join a set, bool, in the order of ``groups``.
 
-        What grows out of an effect of the model needs it in the set, and stands in its place.
+        One of a kind, and none that another contains.  What grows out of an effect of the model
+        needs it in the set, and stands in its place.
         """
         gone = {member.replaces for member in members if member.replaces}
         able = self.standing.copy()

@@ -16,6 +16,7 @@ from eha_monitor.physics.parameters import place_of
 
 LEAST_SHARE, LEAST_OF_MANY = 0.05, 0.3  # of its start: where a size enters at least
 LEAST_B = 1e-3  # of its prior: below, there is no viscous damping
+LARGEST = 3e4  # times the smallest unknowns; 1e4 times is what the record covers
 
 
 @dataclass(frozen=True)
@@ -75,7 +76,7 @@ def timing_free(experiment: Experiment) -> tuple[Free, ...]:
 def limits_of(experiment: Experiment) -> tuple[Unknowns, Unknowns]:
     """Return the smallest and the largest unknowns that are tried."""
     small = smallest_unknowns(experiment).as_array()
-    large = experiment.largest_unknown * small
+    large = LARGEST * small
     if experiment.mode == FORCED:
         large[1:] = small[1:]
     elif experiment.mode != CLOSED or not experiment.used[4]:

@@ -33,13 +33,12 @@ class Unnamed:
     Attributes
     ----------
     name : e.g. ``force of x``; ``balance`` it acts in: ``force``, ``flow`` across, ``flow_1`` and
-        ``flow_2`` into one chamber, ``drive``; ``of`` what it is a function of.
+        ``flow_2`` into one chamber, ``drive``.
     basis : for each stretch (n, k) hat functions times the signal that it scales.
     """
 
     name: str
     balance: str
-    of: str
     basis: tuple[np.ndarray, ...]
 
 
@@ -111,26 +110,26 @@ def unnamed_of(experiment: Experiment, fit: Fit) -> list[Unnamed]:
     def times(basis, signal):
         return tuple(one * other[:, None] for one, other in zip(basis, signal, strict=True))
 
-    found = [Unnamed("force of v", "force", "v", tuple(of_v)),
-             Unnamed("force of x", "force", "x", tuple(of_x)),
-             Unnamed("force of x and direction", "force", "x·sgn v", times(of_x, sense)),
-             Unnamed(INTERMITTENT, "force", "time", tuple(of_time))]
+    found = [Unnamed("force of v", "force", tuple(of_v)),
+             Unnamed("force of x", "force", tuple(of_x)),
+             Unnamed("force of x and direction", "force", times(of_x, sense)),
+             Unnamed(INTERMITTENT, "force", tuple(of_time))]
     if experiment.mode != FORCED:
         dp = [track[:, s.P1] - track[:, s.P2] for track in tracks]
         omega = [track[:, s.OMEGA] for track in tracks]
         scale = max(float(np.quantile(np.abs(np.concatenate(dp)), 0.98)), 1e-9)
         relative = [one / scale for one in dp]
         angle = [np.cumsum(one) * experiment.dt for one in omega]
-        found += [Unnamed("flow of v", "flow", "v", tuple(of_v)),
-                  Unnamed("flow of x", "flow", "x", tuple(of_x)),
-                  Unnamed("flow of dp", "flow", "Δp", tuple(hats(dp, HATS))),
-                  Unnamed("flow of x and dp", "flow", "x·Δp", times(of_x, relative)),
-                  Unnamed("flow of the shaft's angle", "flow", "angle", tuple(
+        found += [Unnamed("flow of v", "flow", tuple(of_v)),
+                  Unnamed("flow of x", "flow", tuple(of_x)),
+                  Unnamed("flow of dp", "flow", tuple(hats(dp, HATS))),
+                  Unnamed("flow of x and dp", "flow", times(of_x, relative)),
+                  Unnamed("flow of the shaft's angle", "flow", tuple(
                       np.column_stack([f(k * one) for k in (1, 2, 3, 7, 9, 11)
                                        for f in (np.cos, np.sin)]) for one in angle))]
         if experiment.mode == CLOSED:
-            found += [Unnamed("speed of omega", "drive", "ω", tuple(hats(omega, HATS))),
-                      Unnamed("speed of x", "drive", "x", tuple(of_x))]
+            found += [Unnamed("speed of omega", "drive", tuple(hats(omega, HATS))),
+                      Unnamed("speed of x", "drive", tuple(of_x))]
     return [one for one in found if one.basis[0].shape[1]]
 
 
