@@ -24,7 +24,7 @@ def asked(*recordings):
     """Ask of the nominal model alone, as after a search that found no name."""
     experiment = experiment_of(list(recordings), settings(), True)
     fit = nominal_fit(experiment)
-    return changed_between(experiment, list(recordings), Naming(experiment, fit, fit))
+    return changed_between(list(recordings), Naming(experiment, fit, fit))
 
 
 @pytest.mark.parametrize("parameter, value", [("viscous_damping", 900.0), ("bulk_modulus", 3e8)])

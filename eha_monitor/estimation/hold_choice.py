@@ -168,19 +168,6 @@ def for_stages(settings: Settings, decision: HoldDecision | None) -> Settings:
     return with_hold(settings, CONTINUOUS) if lacking else settings
 
 
-@dataclass(frozen=True)
-class Asked:
-    """The stretch that is asked, and both inputs on it.
-
-    ``stretches`` differ in the friction that they take as known.
-    """
-
-    stretches: list[Stretch]
-    continuous: Hold
-    sampled: Hold
-    channel: str
-
-
 def evidence_of(recording: Recording, settings: Settings) -> tuple[float, str, bool] | None:
     """Return the log units for a held command over a continuous one, of which channel and by whom.
 
@@ -196,8 +183,9 @@ def evidence_of(recording: Recording, settings: Settings) -> tuple[float, str, b
     asked = asked_of(recording, settings)
     if asked is None:
         return None
-    held, flowing = later(asked.sampled, 0.0), later(asked.continuous, 0.0)
-    first, second = fitted(asked.stretches, flowing), fitted(asked.stretches, held)
+    stretches, continuous, sampled, channel = asked
+    held, flowing = later(sampled, 0.0), later(continuous, 0.0)
+    first, second = fitted(stretches, flowing), fitted(stretches, held)
     # Each from where the other has come to, too: a search ends at the top of one hill.
     l_flowing, at = ties.best(
         [first, (*_from(second, flowing),)], lambda one: one[0], within=ties.GUESS)[::2]
@@ -206,9 +194,9 @@ def evidence_of(recording: Recording, settings: Settings) -> tuple[float, str, b
     if not (np.isfinite(l_held) and np.isfinite(l_flowing)):
         return None
     return weighed(l_flowing, l_held,
-                   lambda by: climbed(first[1], later(asked.continuous, by), at)[0],
-                   lambda by: climbed(second[1], later(asked.sampled, by), at_held)[0]
-                   ), asked.channel, False
+                   lambda by: climbed(first[1], later(continuous, by), at)[0],
+                   lambda by: climbed(second[1], later(sampled, by), at_held)[0]
+                   ), channel, False
 
 
 def weighed(l_flowing: float, l_held: float, flowing_late: Callable[[float], float],
@@ -392,8 +380,12 @@ def _from(found: tuple[float, Stretch, Point], lines) -> tuple[float, Stretch, P
     return best, found[1], at
 
 
-def asked_of(recording: Recording, settings: Settings) -> Asked | None:
-    """Return the stretch of a recording that tells most, and both inputs on it."""
+def asked_of(recording: Recording, settings: Settings
+             ) -> tuple[list[Stretch], Hold, Hold, str] | None:
+    """Return what is asked: the stretch that tells most, both inputs on it, and of which channel.
+
+    The stretch comes once for each friction that is taken as known.
+    """
     rig, dt = settings.rig, recording.sample_time
     commanded = rig.position_gain is not None and recording.has("x_d")
     raw = (mapped(lambda x_d, x: rig.position_gain * (x_d - x), recording.get("x_d"),
@@ -423,8 +415,8 @@ def asked_of(recording: Recording, settings: Settings) -> Asked | None:
     if continuous is None or sampled is None:
         return None
     sigma = noise["x"].value * abs(rig.position_gain) if by_demand else noise["omega"].value
-    return Asked(stretches_of(channels, noise, settings, continuous, sigma, dt), continuous,
-                 sampled, "x_d" if by_demand else "omega")
+    return (stretches_of(channels, noise, settings, continuous, sigma, dt), continuous, sampled,
+            "x_d" if by_demand else "omega")
 
 
 def gain_followed(channels: dict[str, np.ndarray], noise: dict[str, NoiseEstimate], rig: Rig
@@ -473,7 +465,7 @@ def open_input(recorded: dict, channels: dict, noise: dict, settings: Settings, 
     """Return the pump's speed in each sample under a hold, without gaps; None where none came."""
     model = replace(RigModel.of(with_hold(settings, hold), commanded="x_d" in channels),
                     loop=False)
-    made = drive_input(model, recorded, channels, noise, dt).hold
+    made, _ = drive_input(model, recorded, channels, noise, dt)
     lines = []
     for line in (made.start, made.end):
         if np.isfinite(line).sum() < FEWEST:

@@ -133,9 +133,8 @@ class StageInputs:
             force = hold_of(measured_force, variance**0.5,
                             kinked=model.held).with_noise(variance)
         if no_drive is None:
-            made = drive_input(model, recorded, channels, noise, recording.sample_time,
-                               known.started if known else None)
-            drive, kept = made.hold, made.kept
+            drive, kept = drive_input(model, recorded, channels, noise, recording.sample_time,
+                                      known.started if known else None)
         both = "p1" in channels and "p2" in channels
         charge = np.array([rig.charge_pressure])
         leak_flow = measured_leakage(rig, channels)

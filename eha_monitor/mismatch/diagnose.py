@@ -199,11 +199,7 @@ def diagnosed(recordings: list[Recording], experiment: Experiment,
     naming = on_all_of(experiment, named[1])
     if verdict_of(naming) != "consistent" or naming.unexplained > experiment.policy.rival:
         say("testing whether a parameter changed", 0.86)
-        changed = changed_between(naming.experiment, recordings, naming)
-        if changed is not None:
-            naming = Naming(changed.experiment, changed.whole, changed.fit,
-                            consistent=naming.unexplained, unexplained=0.0,
-                            pieces=changed.pieces)
+        naming = changed_between(recordings, naming) or naming
     say("showing the fit on unseen data", 0.88)
     shown = naming.experiment if held_out is None else replace(
         experiment_of([held_out], settings, False), steps=naming.experiment.steps)

@@ -5,7 +5,6 @@ of B and beta_e.  Where something changed is found by the two stages, which foll
 that nothing else is missing, by the nominal model fitted to each piece for itself.
 """
 
-from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -15,7 +14,6 @@ from eha_monitor.mismatch.data.experiment import Experiment
 from eha_monitor.mismatch.data.inputs import cut
 from eha_monitor.mismatch.diagnosis import HEALTH_WORDS, Piece, Value
 from eha_monitor.mismatch.likelihood.fit import (
-    Fit,
     innovations,
     log_likelihood_of,
     spread,
@@ -34,33 +32,18 @@ BEFORE_S, AFTER_S = 1.5, 0.5
 SHORTEST_S = 2.0  # of the fitted samples of a piece
 
 
-@dataclass(frozen=True)
-class Changed:
-    """The nominal model in pieces.
+def changed_between(recordings: list[Recording], naming: Naming) -> Naming | None:
+    """Return the nominal model in pieces, where they explain the data better than named physics.
 
-    Attributes
-    ----------
-    pieces : in order of time; neighbours of one recording differ in B or beta_e.
-    experiment, fit : the data of the last piece, and the nominal model fitted to them.
-    whole : the nominal model of all data.
-    """
-
-    pieces: tuple[Piece, ...]
-    experiment: Experiment
-    fit: Fit
-    whole: Fit
-
-
-def changed_between(experiment: Experiment, recordings: list[Recording], naming: Naming
-                    ) -> Changed | None:
-    """Return the pieces that explain the data better than any named physics, or None.
+    Its pieces are in order of time; neighbours of one recording differ in B or beta_e.  Data and
+    model are those of the last piece, beside the nominal model of all data.
 
     Parameters
     ----------
-    experiment : of ``recordings``, at least one; compared by a filter, not by balances.
+    recordings : at least one, compared by a filter, not by balances.
     naming : the best model of constant parameters.
     """
-    named, policy = naming.after, experiment.policy
+    experiment, named, policy = naming.experiment, naming.after, naming.experiment.policy
     parts = [part for part in (part_of(experiment, *span) for span in spans_of(
         experiment, recordings)) if part is not None]
     if len(parts) < 2:
@@ -80,11 +63,10 @@ def changed_between(experiment: Experiment, recordings: list[Recording], naming:
         float(part.stretches[-1].start + len(part.stretches[-1]) * part.dt),
         values_of(part, robust(part, fit, of_rig=False)))
         for part, fit in zip(parts, fits, strict=True))
-    if not any(differ(one.values, other.values, policy)
-               for one, other in pairwise(pieces)):
+    if not any(differ(one.values, other.values, policy) for one, other in pairwise(pieces)):
         return None
-    return Changed(pieces, parts[-1], fits[-1], with_unknowns(
-        parts[-1], naming.before, naming.before.unknowns))
+    return Naming(parts[-1], with_unknowns(parts[-1], naming.before), fits[-1],
+                  consistent=naming.unexplained, unexplained=0.0, pieces=pieces)
 
 
 def spans_of(experiment: Experiment, recordings: list[Recording]
