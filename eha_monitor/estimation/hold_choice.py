@@ -118,8 +118,7 @@ class HoldDecision:
         """What a user must know of it: a held command."""
         if not self.decided or self.hold != SAMPLED:
             return ()
-        return (ChannelFinding(self.sentence, "hold", (self.channel,),
-                               {"command_hold": SAMPLED}),)
+        return (ChannelFinding(self.sentence, "hold", (self.channel,), {"command_hold": SAMPLED}),)
 
 
 def with_hold(settings: Settings, hold: str) -> Settings:
@@ -437,8 +436,7 @@ def gain_followed(channels: dict[str, np.ndarray], noise: dict[str, NoiseEstimat
     return gain if within and follows(channels, noise, gain) else None
 
 
-def follows(channels: dict[str, np.ndarray], noise: dict[str, NoiseEstimate],
-            gain: float) -> bool:
+def follows(channels: dict[str, np.ndarray], noise: dict[str, NoiseEstimate], gain: float) -> bool:
     """Tell whether the pump follows K_pos (x_d - x) at each stamp, or is not recorded.
 
     Where it does not, the drive has a lag, a delay or a limit, and the speed that it made is the
@@ -447,8 +445,7 @@ def follows(channels: dict[str, np.ndarray], noise: dict[str, NoiseEstimate],
     if "omega" not in channels:
         return True
     left = channels["omega"] - gain * (channels["x_d"] - channels["x"])
-    return white(left[np.isfinite(left)] / np.hypot(noise["omega"].value,
-                                                    gain * noise["x"].value))
+    return white(left[np.isfinite(left)] / np.hypot(noise["omega"].value, gain * noise["x"].value))
 
 
 def white(left: np.ndarray, block: int = BLOCK) -> bool:

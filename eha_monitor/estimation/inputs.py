@@ -114,8 +114,7 @@ class StageInputs:
         recorded, spikes = without_spikes(
             {name: recording.channels[name] for name in names}, noise,
             known.counted if known else None)
-        circuit = known.model.circuit if known else circuit_of(
-            *theta_of(rig, settings.effects))
+        circuit = known.model.circuit if known else circuit_of(*theta_of(rig, settings.effects))
         channels, noise = undo_sensors(
             recorded, noise, circuit, since + recording.sample_time * np.arange(len(recording)))
         if known:
@@ -130,8 +129,7 @@ class StageInputs:
         if no_force is None:
             variance = force_variance(rig, noise, settings.stage_one.force_noise)
             measured_force = force_of(rig, channels)
-            force = hold_of(measured_force, variance**0.5,
-                            kinked=model.held).with_noise(variance)
+            force = hold_of(measured_force, variance**0.5, kinked=model.held).with_noise(variance)
         if no_drive is None:
             drive, kept = drive_input(model, recorded, channels, noise, recording.sample_time,
                                       known.started if known else None)

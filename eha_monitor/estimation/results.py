@@ -322,8 +322,7 @@ class Estimate:
     @property
     def doubted(self) -> dict[str, Taint]:
         """What of :attr:`parameters` is in doubt all the same."""
-        return {name: taint for name, taint in self.model.tainted.items()
-                if taint.instead is None}
+        return {name: taint for name, taint in self.model.tainted.items() if taint.instead is None}
 
     @property
     def joint_doubt(self) -> str:

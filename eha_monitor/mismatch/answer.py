@@ -245,8 +245,7 @@ def _answers(draft: _Draft) -> _Draft:
                    as_written=as_written)
 
 
-def _located(draft: _Draft, evidence: Mapping[str, float]
-             ) -> tuple[Location, tuple[Curve, ...]]:
+def _located(draft: _Draft, evidence: Mapping[str, float]) -> tuple[Location, tuple[Curve, ...]]:
     """Return where the recordings and the nominal model differ, and the curve of what lacks."""
     experiment, naming, told = draft.experiment, draft.naming, draft.told
     if draft.verdict == "consistent":

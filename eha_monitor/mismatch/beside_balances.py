@@ -97,8 +97,7 @@ def agrees_closely(found: Diagnosis) -> bool:
         one.after_rms <= POLICY.worse * one.signal_rms for one in found.signals.values())
 
 
-def left_of_force(answer: Diagnosis, recordings: Sequence[Recording], settings: Settings
-                  ) -> float:
+def left_of_force(answer: Diagnosis, recordings: Sequence[Recording], settings: Settings) -> float:
     """Return the rms of the force that an answer's laws and numbers leave on unseen parts, N.
 
     B and the constant load are fitted there.

@@ -21,12 +21,7 @@ from eha_monitor.mismatch.beside_balances import (
     force_is_closed,
     instead_of_filter,
 )
-from eha_monitor.mismatch.data.experiment import (
-    Experiment,
-    by_balances,
-    experiment_of,
-    mode_of,
-)
+from eha_monitor.mismatch.data.experiment import Experiment, by_balances, experiment_of, mode_of
 from eha_monitor.mismatch.data.inputs import FORCED
 from eha_monitor.mismatch.diagnosis import Diagnosis, Location, Window
 from eha_monitor.mismatch.holds import as_it_reads, searched
@@ -104,8 +99,7 @@ def diagnose_and_name(recordings: list[Recording], settings: Settings,
     begins with the models that are ``known`` from a part of it.  See :func:`diagnose`.
     """
     with computing(*(recording.source for recording in recordings)):
-        return _diagnosed(recordings, settings, None, progress or silent,
-                          None, (), (), known)
+        return _diagnosed(recordings, settings, None, progress or silent, None, (), (), known)
 
 
 def _diagnosed(recordings: list[Recording], settings: Settings, held_out: Recording | None,

@@ -107,8 +107,7 @@ def searched(under: Callable[[Settings], Experiment], held: Settings,
             return stands
         may_end = may_end and not followed
     decision = replace(decision, hold=other().settings.command_hold, evidence=gained, decided=True)
-    return Searched(other(), decision, *_named(
-        name, *_followed(begin, other(), may_end, None)))
+    return Searched(other(), decision, *_named(name, *_followed(begin, other(), may_end, None)))
 
 
 def _followed(step: Callable, *arguments) -> tuple[Any, bool]:

@@ -206,8 +206,7 @@ class Reading:
             if parameter in self.labels:
                 one = abs(self.shift(d, parameter, d.amount, steady))
                 if one > 0:
-                    size = min(size, SHIFT * abs(self.fit.value(parameter)) / one
-                               * abs(d.amount))
+                    size = min(size, SHIFT * abs(self.fit.value(parameter)) / one * abs(d.amount))
         return size
 
     def confusions(self) -> tuple[Confusion, ...]:

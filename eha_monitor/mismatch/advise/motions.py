@@ -12,15 +12,7 @@ from eha_monitor.mismatch.data.inputs import CLOSED, FORCED, cubics
 from eha_monitor.mismatch.likelihood.fit import Fit, free_run
 from eha_monitor.physics import signals as s
 from eha_monitor.physics.contributions import circuit_of, new_memory
-from eha_monitor.physics.plant import (
-    N_OUTPUTS,
-    Y_P1,
-    Y_P2,
-    Step,
-    actuator_of,
-    new_state,
-    sense,
-)
+from eha_monitor.physics.plant import N_OUTPUTS, Y_P1, Y_P2, Step, actuator_of, new_state, sense
 from eha_monitor.physics.simulator import demanded_position, total_duration
 from eha_monitor.settings.rig import Segment
 

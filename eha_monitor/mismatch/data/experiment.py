@@ -236,8 +236,7 @@ def mode_of(recording: Recording, settings: Settings) -> int:
         If there is no position, or nothing that moves it.
     """
     rig = settings.rig
-    known = None not in (rig.area_1, rig.area_2, rig.volume_1, rig.volume_2,
-                         rig.pump_displacement)
+    known = None not in (rig.area_1, rig.area_2, rig.volume_1, rig.volume_2, rig.pump_displacement)
     if not recording.has("x"):
         raise InputError(f"{recording.source}: expected a position (channel x), found "
                          f"{', '.join(recording.channels) or 'nothing'}")

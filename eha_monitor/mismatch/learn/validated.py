@@ -93,8 +93,7 @@ def validated_term(experiment: Experiment, unseen: Experiment, naming: Naming
     judged = shown(unseen, learned.without, learned.fit)
     share, signals = removed(judged), shown(unseen, naming.before, learned.fit)
     policy = experiment.policy
-    if not share >= policy.likely or unseen_gates(judged, policy) or unseen_gates(
-            signals, policy):
+    if not share >= policy.likely or unseen_gates(judged, policy) or unseen_gates(signals, policy):
         return None
     learned = replace(learned, fit=robust(experiment, learned.fit))
     formulas = formulas_of(experiment, learned)

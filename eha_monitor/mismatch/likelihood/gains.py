@@ -185,5 +185,4 @@ def expected_covariance(experiment: Experiment, theta: np.ndarray, active: np.nd
     By R = (1 - H K) S, of the used channels.
     """
     m, used = linear_of(experiment, theta, active, unknowns), experiment.columns
-    return np.linalg.solve(np.eye(len(used)) - m.h[used] @ gains[-1][:, used],
-                           np.diag(m.r[used]))
+    return np.linalg.solve(np.eye(len(used)) - m.h[used] @ gains[-1][:, used], np.diag(m.r[used]))

@@ -261,8 +261,7 @@ def latent_gains(experiment: Experiment, fit: Fit) -> dict[str, tuple[Rival, flo
 def gains_from(experiment: Experiment, base: Base) -> list[tuple[Rival, float]]:
     """Return the rivals with the best likelihood that each reaches from one base."""
     def first(rival: Rival) -> tuple[float, float]:
-        return max((likelihood(experiment, base, rival, size, LASTING[0]), size)
-                   for size in SIZES)
+        return max((likelihood(experiment, base, rival, size, LASTING[0]), size) for size in SIZES)
 
     def further(task: tuple[Rival, float, float]) -> float:
         rival, reached, start = task

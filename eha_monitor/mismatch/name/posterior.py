@@ -133,8 +133,7 @@ class Refits:
         """Return the plainest of the best sets, of those that no gate has refused."""
         scores = {names: score for names, score in self.scores().items()
                   if names not in self.refused}
-        return ties.best(scores, scores.get, plainness,
-                         self.policy.temper * ties.SAME_FIT)
+        return ties.best(scores, scores.get, plainness, self.policy.temper * ties.SAME_FIT)
 
     def ahead(self, done: dict[Names, float], enough: float) -> tuple[Names, Fit] | None:
         """Return the model where the search goes on; None where it has been everywhere.

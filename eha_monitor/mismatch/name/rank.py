@@ -311,8 +311,7 @@ class Level:
         amplitudes = dict(zip(here.tolist(), a.tolist(), strict=True))
         amplitudes |= dict(zip(reduced.free.tolist(), always.tolist(), strict=True)) | fixed
         gone = {member.replaces for member in members}
-        prior = float(sum(
-            r.log_prior(member) for member in members if member.owner not in gone))
+        prior = float(sum(r.log_prior(member) for member in members if member.owner not in gone))
         return Ranked(members, float(evidence) + prior, prior, self.gram, amplitudes)
 
     def gains(self, one: Ranked) -> list[tuple[Member, float]]:
@@ -325,8 +324,7 @@ class Level:
         r = self.ranking
         products = reduced.products
         white = np.linalg.solve(factor, products[np.ix_(1 + here, 1 + r.owned)])
-        q = (r.centre[r.owned] - left[1 + r.owned]
-             - products[np.ix_(1 + r.owned, 1 + here)] @ a)
+        q = (r.centre[r.owned] - left[1 + r.owned] - products[np.ix_(1 + r.owned, 1 + here)] @ a)
         able, gains = r.joining(one.members), []
         for columns, places in r.blocks:  # suspects with as many columns, all at once
             which = places[able[places]]
@@ -367,8 +365,7 @@ def gained_by(blocks: np.ndarray, sides: np.ndarray) -> np.ndarray:
     """Return :func:`gained` where no group is singular."""
     factor = np.linalg.cholesky(blocks)
     y = np.linalg.solve(factor, sides[:, :, None])[:, :, 0]
-    return 0.5 * (y * y).sum(axis=1) - np.log(
-        np.diagonal(factor, axis1=1, axis2=2)).sum(axis=1)
+    return 0.5 * (y * y).sum(axis=1) - np.log(np.diagonal(factor, axis1=1, axis2=2)).sum(axis=1)
 
 
 def ranked_at(what: tuple[Column, ...], named: tuple[str, ...], grams: list[Gram],
@@ -383,8 +380,7 @@ def best_over(levels: list[list[Ranked]]) -> list[Ranked]:
     best: dict[tuple[Member, ...], Ranked] = {}
     for found in levels:
         for one in found:
-            if (one.members not in best
-                    or one.evidence > best[one.members].evidence + ties.GUESS):
+            if (one.members not in best or one.evidence > best[one.members].evidence + ties.GUESS):
                 best[one.members] = one
     return best_first(best.values())
 

@@ -66,8 +66,7 @@ def at_level(experiment: Experiment, fit: Fit, limits: tuple[Unknowns, Unknowns]
     known: dict[tuple, float] = {}
 
     def likelihood(levels: list[np.ndarray]) -> None:
-        todo = list(dict.fromkeys(
-            tuple(level) for level in levels if tuple(level) not in known))
+        todo = list(dict.fromkeys(tuple(level) for level in levels if tuple(level) not in known))
         if todo:
             known.update(zip(todo, evidences_at(experiment, fit, present, [
                 Unknowns(*level) for level in todo]).tolist(), strict=True))

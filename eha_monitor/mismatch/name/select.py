@@ -38,13 +38,7 @@ from eha_monitor.mismatch.name.posterior import (
     evidence_at_start,
     plainness,
 )
-from eha_monitor.mismatch.name.proposals import (
-    Linearised,
-    beside,
-    chosen_at,
-    rivals_at,
-    weighed,
-)
+from eha_monitor.mismatch.name.proposals import Linearised, beside, chosen_at, rivals_at, weighed
 from eha_monitor.mismatch.name.rank import Ranked
 from eha_monitor.mismatch.name.refit import (
     entered_at_best,

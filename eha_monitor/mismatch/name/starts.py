@@ -199,8 +199,7 @@ def free_parameter(start: Start, p: Parameter) -> Free:
         return Free(name, place, p.lower, p.upper, p.neutral,
                     max(spread * abs(value), 1e-3 * p.scale))
     if p.lower > 0:
-        return Free(name, place, p.lower, p.upper, float(np.log(value)), start.policy.shape,
-                    True)
+        return Free(name, place, p.lower, p.upper, float(np.log(value)), start.policy.shape, True)
     return Free(name, place, p.lower, p.upper, value, max(2.0 * p.scale, abs(value)))
 
 
