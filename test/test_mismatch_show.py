@@ -12,8 +12,7 @@ from eha_monitor.mismatch.data.experiment import experiment_of
 from eha_monitor.mismatch.data.inputs import cut
 from eha_monitor.mismatch.diagnose import diagnose
 from eha_monitor.mismatch.diagnosis import Agreement, Value
-from eha_monitor.mismatch.name.polish import Slopes, polished
-from eha_monitor.mismatch.name.refit import unfitted
+from eha_monitor.mismatch.name.refit import Slopes, polished, unfitted
 from eha_monitor.mismatch.show.held_out import (
     agreement,
     force_residual,

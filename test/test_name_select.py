@@ -18,7 +18,6 @@ from eha_monitor.mismatch.name.columns import rig_free
 from eha_monitor.mismatch.name.finalists import finish, lesser, without_each
 from eha_monitor.mismatch.name.naming import in_place_of
 from eha_monitor.mismatch.name.nominal import lacks, nominal_model, resolved_nominal, with_rig
-from eha_monitor.mismatch.name.polish import Slopes, polished
 from eha_monitor.mismatch.name.posterior import Refits, posterior
 from eha_monitor.mismatch.name.posterior import counted as counted_by
 from eha_monitor.mismatch.name.proposals import (
@@ -31,9 +30,11 @@ from eha_monitor.mismatch.name.proposals import (
 )
 from eha_monitor.mismatch.name.rank import Member, Ranked
 from eha_monitor.mismatch.name.refit import (
+    Slopes,
     discrepancy,
     evidence_of,
     informed,
+    polished,
     settled,
     unfitted,
     wide,

@@ -17,7 +17,7 @@ from eha_monitor.mismatch.likelihood.fit import Fit, Free, remade, spread, with_
 from eha_monitor.mismatch.likelihood.gains import smallest_unknowns
 from eha_monitor.mismatch.name.before import informative
 from eha_monitor.mismatch.name.candidates import log_prior
-from eha_monitor.mismatch.name.columns import Column, Columns, columns_at
+from eha_monitor.mismatch.name.columns import Column, Columns, Unnamed, columns_at
 from eha_monitor.mismatch.name.finalists import CLOSE, lesser
 from eha_monitor.mismatch.name.naming import Naming
 from eha_monitor.mismatch.name.nominal import with_rig
@@ -25,7 +25,6 @@ from eha_monitor.mismatch.name.proposals import weighed
 from eha_monitor.mismatch.name.rank import Ranked
 from eha_monitor.mismatch.name.refit import evidence_of, joined, looked, settled, unfitted
 from eha_monitor.mismatch.name.select import SKETCH, SKETCH_WINDOW
-from eha_monitor.mismatch.name.unnamed import Unnamed
 from eha_monitor.physics import signals as s
 from eha_monitor.physics.contributions import ALL_NAMES, slot_of
 from eha_monitor.physics.effects import NAMES

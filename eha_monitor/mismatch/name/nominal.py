@@ -18,8 +18,7 @@ from eha_monitor.mismatch.likelihood.fit import (
     with_unknowns,
 )
 from eha_monitor.mismatch.name.columns import rig_free
-from eha_monitor.mismatch.name.polish import Slopes, polished
-from eha_monitor.mismatch.name.refit import FIRST, at_level, settled, unfitted
+from eha_monitor.mismatch.name.refit import FIRST, Slopes, at_level, polished, settled, unfitted
 from eha_monitor.mismatch.name.starts import expected_likelihood, limits_of, needs
 from eha_monitor.physics import signals as of
 from eha_monitor.physics.signals import BETA_E, B

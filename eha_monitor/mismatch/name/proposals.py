@@ -11,7 +11,6 @@ from eha_monitor.mismatch.likelihood.gains import Unknowns
 from eha_monitor.mismatch.name.candidates import all_named, candidate
 from eha_monitor.mismatch.name.columns import Column, Columns, columns_at
 from eha_monitor.mismatch.name.gram import grams_of
-from eha_monitor.mismatch.name.polish import Slopes
 from eha_monitor.mismatch.name.posterior import (
     Names,
     Refits,
@@ -22,6 +21,7 @@ from eha_monitor.mismatch.name.posterior import (
     posterior,
 )
 from eha_monitor.mismatch.name.rank import LARGEST_SET, Ranked, best_first, best_over, ranked_at
+from eha_monitor.mismatch.name.refit import Slopes
 from eha_monitor.mismatch.name.starts import limits_of
 from eha_monitor.physics.effects import CATALOGUE
 

@@ -16,7 +16,7 @@ from eha_monitor.mismatch.likelihood.along import filtered_tracks, played, signa
 from eha_monitor.mismatch.likelihood.fit import Fit, filtered, spread
 from eha_monitor.mismatch.likelihood.innovations import N_FILTERED
 from eha_monitor.mismatch.locate.terms import modelled_force
-from eha_monitor.mismatch.name.polish import Slopes, polished
+from eha_monitor.mismatch.name.refit import Slopes, polished
 from eha_monitor.mismatch.policy import SearchPolicy
 from eha_monitor.physics import signals as s
 from eha_monitor.physics.contributions import ALL_NAMES, circuit_of
