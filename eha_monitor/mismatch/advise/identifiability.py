@@ -166,11 +166,7 @@ class Reading:
         self.weights = {slope.label: slope.weight for slope in base}
         self.labels = [slope.label for slope in base]
         self.plateaus = gram.count_part / max(gram.count, 1)
-
-    @property
-    def has_plateaus(self) -> bool:
-        """Tell whether the recording has plateaus of speed to speak of."""
-        return self.plateaus >= LEAST_STEADY
+        self.has_plateaus = self.plateaus >= LEAST_STEADY
 
     def known(self, units: dict[str, str]) -> tuple[Known, ...]:
         """Return the fitted parameters with standard deviations and variance inflation."""

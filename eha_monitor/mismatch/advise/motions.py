@@ -102,32 +102,30 @@ def candidates(limits: Limits) -> list[Motion]:
             "here": Segment(kind="rest", duration=2.0, offset=middle - half),
             "there": Segment(kind="rest", duration=2.0, offset=aside)}),
     ]
-    for name, share, words in (("full", 1.0, "the speed of this recording"),
-                               ("half", 0.5, "half the speed"),
-                               ("tenth", 0.1, "a tenth of the speed")):
-        plans.append((f"triangle_{name}", f"a triangle at {words}",
-                      {"triangle": triangle(share * v)}))
-    plans.append(("triangle_aside", "a triangle at half the speed about another place",
-                  {"triangle": triangle(0.5 * v, aside, half)}))
-    plans.append(("two_triangles", "two triangles, one at a quarter of the other's speed",
-                  {"fast": triangle(v), "slow": triangle(0.25 * v)}))
-    for frequency in (1.0, 2.0, 5.0, 10.0, 20.0):
-        plans.append((f"sine_{frequency:g}_hz", f"a sine of {frequency:g} Hz",
-                      {"sine": sine(frequency)}))
-    plans.append(("sine_small", "a small sine of 2 Hz", {"sine": sine(2.0, share=0.03)}))
-    plans.append(("sine_places", "a sine of 10 Hz at two places", {
-        "here": sine(10.0, middle - half, half), "there": sine(10.0, aside, half)}))
-    plans.append(("multisine", "a multisine of 0.5 to 20 Hz", {"multisine": Segment(
+    slow = {"triangle": triangle(0.5 * v)}
+    tones = {"multisine": Segment(
         kind="multisine", duration=4.0, amplitude=reach, frequency=0.5, frequency_end=20.0,
-        components=12, offset=middle, seed=1)}))
-    plans.append(("chirp", "a chirp of 0.5 to 20 Hz", {"chirp": Segment(
-        kind="chirp", duration=4.0, amplitude=reach, frequency=0.5, frequency_end=20.0,
-        offset=middle)}))
-    plans.append(("steps", "random steps, two a second", {"steps": Segment(
-        kind="steps", duration=4.0, amplitude=reach, frequency=2.0, offset=middle, seed=1)}))
-    slow, tones = (dict(segments) for name, _, segments in plans
-                   if name in ("triangle_half", "multisine"))
-    plans.append(("triangle_and_multisine", "a slow triangle, then a multisine", slow | tones))
+        components=12, offset=middle, seed=1)}
+    plans += [
+        ("triangle_full", "a triangle at the speed of this recording", {"triangle": triangle(v)}),
+        ("triangle_half", "a triangle at half the speed", slow),
+        ("triangle_tenth", "a triangle at a tenth of the speed", {"triangle": triangle(0.1 * v)}),
+        ("triangle_aside", "a triangle at half the speed about another place",
+         {"triangle": triangle(0.5 * v, aside, half)}),
+        ("two_triangles", "two triangles, one at a quarter of the other's speed",
+         {"fast": triangle(v), "slow": triangle(0.25 * v)}),
+        *((f"sine_{frequency:g}_hz", f"a sine of {frequency:g} Hz", {"sine": sine(frequency)})
+          for frequency in (1.0, 2.0, 5.0, 10.0, 20.0)),
+        ("sine_small", "a small sine of 2 Hz", {"sine": sine(2.0, share=0.03)}),
+        ("sine_places", "a sine of 10 Hz at two places",
+         {"here": sine(10.0, middle - half, half), "there": sine(10.0, aside, half)}),
+        ("multisine", "a multisine of 0.5 to 20 Hz", tones),
+        ("chirp", "a chirp of 0.5 to 20 Hz", {"chirp": Segment(
+            kind="chirp", duration=4.0, amplitude=reach, frequency=0.5, frequency_end=20.0,
+            offset=middle)}),
+        ("steps", "random steps, two a second", {"steps": Segment(
+            kind="steps", duration=4.0, amplitude=reach, frequency=2.0, offset=middle, seed=1)}),
+        ("triangle_and_multisine", "a slow triangle, then a multisine", slow | tones)]
     found = [Motion(name, words, within(limits, segments)) for name, words, segments in plans]
     return ties.ordered(found, lambda motion: -motion.duration)
 

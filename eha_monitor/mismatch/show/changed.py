@@ -44,8 +44,7 @@ def changed_between(recordings: list[Recording], naming: Naming) -> Naming | Non
     naming : the best model of constant parameters.
     """
     experiment, named, policy = naming.experiment, naming.after, naming.experiment.policy
-    parts = [part for part in (part_of(experiment, *span) for span in spans_of(
-        experiment, recordings)) if part is not None]
+    parts = parts_of(experiment, recordings)
     if len(parts) < 2:
         return None
     fits = [needing_least(part, nominal_model(part)) for part in parts]  # each on all cores
@@ -69,19 +68,17 @@ def changed_between(recordings: list[Recording], naming: Naming) -> Naming | Non
                   consistent=naming.unexplained, unexplained=0.0, pieces=pieces)
 
 
-def spans_of(experiment: Experiment, recordings: list[Recording]
-             ) -> list[tuple[str, float, float]]:
-    """Return (recording, from, to) between the changes that the stages saw; s."""
+def parts_of(experiment: Experiment, recordings: list[Recording]) -> list[Experiment]:
+    """Return the experiment between the changes that the stages saw, where enough is fitted."""
     found = []
     for recording in recordings:
         answer = estimate(recording, experiment.settings)
         rows = np.concatenate([answer.stage_one.changes, answer.stage_two.changes])
         at, dt = np.sort(rows[:, 0]) * recording.sample_time, recording.sample_time
-        edges = [-np.inf, *at, np.inf]
-        found += [(recording.source, start + AFTER_S, stop - BEFORE_S)
-                  for start, stop in pairwise(edges)
+        found += [part_of(experiment, recording.source, start + AFTER_S, stop - BEFORE_S)
+                  for start, stop in pairwise([-np.inf, *at, np.inf])
                   if stop - start > BEFORE_S + AFTER_S + dt]
-    return found
+    return [part for part in found if part is not None]
 
 
 def part_of(experiment: Experiment, source: str, start: float, stop: float) -> Experiment | None:
