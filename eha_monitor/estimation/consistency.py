@@ -156,9 +156,8 @@ class Window:
 
     Attributes
     ----------
-    dt : sample time, s.
+    dt, start : sample time and time of the first sample, s.
     quantum : resolution of the measurement; slow errors below it are no mismatch.
-    start : time of the first sample, s.
     seconds : this is a window of so many seconds of a longer record: then a parameter that drifts
         may be a little behind also where it was not seen to change.
     """

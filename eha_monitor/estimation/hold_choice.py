@@ -86,8 +86,7 @@ class HoldDecision:
     Attributes
     ----------
     hold : ``continuous`` or ``sampled``; ``continuous`` where the recording cannot tell.
-    evidence : log units by which it is the better one.
-    decided : whether that is enough.
+    evidence : log units by which it is the better one; ``decided`` : whether that is enough.
     channel : that the hold is of: ``x_d`` or ``omega``.
     lagging : the drive's own equation has said so, with a lag.
     """
@@ -227,8 +226,7 @@ class Lagged(NamedTuple):
 
     Attributes
     ----------
-    log_likelihood : log units.
-    lag : s.
+    log_likelihood, lag : log units, s.
     left : (n,) rad/s, what the drive's equation leaves of the speed.
     through : variance of the speed over that of white noise on the input.
     """

@@ -459,9 +459,7 @@ def observability(estimate: Estimate) -> ObservabilityTable:
 class Bound:
     """The bound of B, beta_e and L from some channels, over the pieces of a recording.
 
-    Attributes
-    ----------
-    driven : whether a drive input is among the channels.
+    ``driven`` : whether a drive input is among the channels.
     """
 
     def __init__(self, channels: tuple[str, ...], estimate: Estimate, inputs: Inputs):

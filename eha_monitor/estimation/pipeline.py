@@ -57,11 +57,6 @@ def estimate(recording: Recording, settings: Settings) -> Estimate:
     drive holds its command over each sample (:mod:`hold_choice`); where the recording cannot
     tell, both answers are in the uncertainty.
 
-    Parameters
-    ----------
-    recording : aligned channels.
-    settings : config.
-
     Raises
     ------
     InputError
@@ -299,10 +294,7 @@ def tested_model(status: ModelStatus, stages: tuple[StageResult, StageResult],
                  beside: tuple[Beside, ...]) -> ModelStatus:
     """Return the verdict on the model with the misfits behind it and what they taint.
 
-    Parameters
-    ----------
-    status : the verdict alone.
-    beside : least squares along the recording; what stands of them at its end.
+    ``beside`` : least squares along the recording; what stands of them at its end.
     """
     if status.status == "consistent":
         return status

@@ -261,12 +261,10 @@ class ChangePoint:
 
     Attributes
     ----------
-    bag : the recording.
     before_s, since_s : until and from when it is of one state, s from the recording's start.
     what, symbol, balance : effect, parameter, and where it acts.
     step : by how much, with the standard deviation.
     removed : share of the balance's error on unseen parts that goes with it.
-    statement : one sentence.
     """
 
     bag: str

@@ -83,8 +83,7 @@ class Experiment:
     used : (N_OUTPUTS,) bool, the channels that are compared.
     noise : (N_OUTPUTS,) standard deviation of each sensor, SI.
     theta, active : nominal parameters and the effects that the config has.
-    stretches : the data.
-    ranges : what the record covers.
+    stretches, ranges : the data, and what they cover.
     position_step : resolution of the position sensor, m; 0 where it is continuous.
     input_noise : standard deviation of the noise on a measured input, in its unit.
     wanted_speed : the input of ``CLOSED`` is the speed that the drive was told, not x_d.

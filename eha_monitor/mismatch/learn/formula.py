@@ -32,11 +32,10 @@ Start = dict[str, float]
 
 @dataclass(frozen=True)
 class Shape:
-    """A shape.
+    """A shape that a curve may have, with its name in words.
 
     Attributes
     ----------
-    name : in words.
     text : expression in ``u`` and its parameters.
     shown : how a person reads it; parameters and ``u`` in braces.
     units : parameter -> ``y``, ``u``, ``y/u``, ``y/u2``, ``y/u3`` or ``y/ru``: of the curve, of

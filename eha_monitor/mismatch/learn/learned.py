@@ -131,8 +131,7 @@ class Guess:
 
     Attributes
     ----------
-    evidence : log units, by the linear guess.
-    values : (KNOTS,) SI.
+    evidence, values : log units, and (KNOTS,) SI.
     ranked : the same guess of all other numbers, of ``what`` columns; its level of the unknowns.
     """
 

@@ -41,8 +41,7 @@ class Free:
 
     Attributes
     ----------
-    name : ``B``, ``beta_e`` or ``<effect>.<parameter>``.
-    place : its place in theta.
+    name : ``B``, ``beta_e`` or ``<effect>.<parameter>``; ``place`` its place in theta.
     lower, upper : bounds, SI.
     prior, spread : Gaussian prior in the fitted coordinate.
     log : fitted as its logarithm.
@@ -95,8 +94,7 @@ class Fit:
     ----------
     theta, active : parameters of the equations and active effects.
     free : what was fitted; ``covariance`` (k, k) in their coordinates.
-    unknowns : deviations of the unexplained force, flow and speed.
-    gains : the filter's gains.
+    unknowns : deviations of the unexplained force, flow and speed; ``gains`` of the filter.
     e : (N, c) innovations of the counted samples, SI; ``s`` (c, c) their covariance.
     log_likelihood : of the innovations plus the prior's exponent.
     named : effects of the catalogue that the fit has, in the order in which they were found;

@@ -77,8 +77,7 @@ class Selection:
     Attributes
     ----------
     experiment : with integration steps that resolve the damping that was found.
-    nominal : the model without effects.
-    refits : every refitted set.
+    nominal, refits : the model without effects; every refitted set.
     view : sets with names by the linear guess from the best model, if the search came there;
         ``beside`` what has no name, beside parts of the best.
     """

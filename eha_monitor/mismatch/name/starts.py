@@ -25,8 +25,7 @@ class Start:
 
     Attributes
     ----------
-    effect : its name.
-    values : all parameters, a small but visible instance.
+    values : all parameters of the effect, a small but visible instance.
     replaces : named effect that it contains and takes the place of, or "".
     among : how many starts the effect has.
     policy : how wide its numbers' priors are.
