@@ -17,7 +17,7 @@ import record
 
 from eha_monitor.compiled import load_runtime
 from eha_monitor.mismatch.data.experiment import experiment_of
-from eha_monitor.mismatch.data.stretch import cut
+from eha_monitor.mismatch.data.inputs import cut
 from eha_monitor.mismatch.likelihood.fit import Fit, free_run
 from eha_monitor.mismatch.name.naming import name_effects
 from eha_monitor.mismatch.name.select import begun

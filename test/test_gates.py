@@ -14,9 +14,8 @@ from eha_monitor.mismatch.diagnosis import Gate, NamedEffect, SignalFit, Value
 from eha_monitor.mismatch.likelihood.fit import Free
 from eha_monitor.mismatch.likelihood.gains import smallest_unknowns
 from eha_monitor.mismatch.name.columns import rig_free
-from eha_monitor.mismatch.name.finalists import not_needed
+from eha_monitor.mismatch.name.finalists import not_needed, without_along
 from eha_monitor.mismatch.name.gates import at_bound, ends_of_tolerance, failures, too_small
-from eha_monitor.mismatch.name.neighbours import without_along
 from eha_monitor.mismatch.name.nominal import nominal, with_rig
 from eha_monitor.mismatch.name.posterior import Refits, refused_evidence
 from eha_monitor.mismatch.name.refit import settled, wide

@@ -18,8 +18,7 @@ from eha_monitor.mismatch.likelihood.fit import (
 )
 from eha_monitor.mismatch.likelihood.invariance import at_prior, consistent, directions, tangents
 from eha_monitor.mismatch.name.nominal import with_rig
-from eha_monitor.mismatch.name.polish import Slopes, polished
-from eha_monitor.mismatch.name.refit import unfitted
+from eha_monitor.mismatch.name.refit import Slopes, polished, unfitted
 from eha_monitor.mismatch.name.starts import starts_of, with_effect
 from eha_monitor.mismatch.show.model import robust
 from eha_monitor.physics.effects import CATALOGUE

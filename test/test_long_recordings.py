@@ -15,7 +15,7 @@ from eha_monitor.api.answer import judged
 from eha_monitor.estimation.joint import observability
 from eha_monitor.estimation.pipeline import estimate_held
 from eha_monitor.mismatch.data.experiment import experiment_of
-from eha_monitor.mismatch.data.stretch import windows_of
+from eha_monitor.mismatch.data.inputs import windows_of
 from eha_monitor.recordings import columns, read
 from eha_monitor.recordings.bag_writer import BagWriter
 from eha_monitor.recordings.columns import Column, blocks, first_where, let_go, on_disk, spans_of

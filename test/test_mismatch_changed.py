@@ -9,7 +9,7 @@ from rig_tools import BETA, SINE, B, settings, simulated
 
 from eha_monitor.api.diagnosis_answer import answer
 from eha_monitor.mismatch.data.experiment import experiment_of
-from eha_monitor.mismatch.data.stretch import cut
+from eha_monitor.mismatch.data.inputs import cut
 from eha_monitor.mismatch.diagnose import diagnose
 from eha_monitor.mismatch.diagnosis import NamedEffect, Value, health_sentences
 from eha_monitor.mismatch.name.naming import Naming
@@ -24,7 +24,7 @@ def asked(*recordings):
     """Ask of the nominal model alone, as after a search that found no name."""
     experiment = experiment_of(list(recordings), settings(), True)
     fit = nominal_fit(experiment)
-    return changed_between(experiment, list(recordings), Naming(experiment, fit, fit))
+    return changed_between(list(recordings), Naming(experiment, fit, fit))
 
 
 @pytest.mark.parametrize("parameter, value", [("viscous_damping", 900.0), ("bulk_modulus", 3e8)])

@@ -28,7 +28,7 @@ from scipy.linalg import expm, solve_discrete_are
 from test_filters_effects import CASES, recording_of
 
 from eha_monitor.mismatch.data.experiment import experiment_of
-from eha_monitor.mismatch.data.stretch import cut
+from eha_monitor.mismatch.data.inputs import cut
 from eha_monitor.mismatch.likelihood.fit import (
     covariance_of,
     filtered,

@@ -101,8 +101,8 @@ def test_a_rival_beside_the_filter_is_worth_what_the_whole_filter_says():
     m = linear_of(experiment, null.theta, null.active, small)
     e, _ = filtered(experiment, experiment.stretches[0], null.theta, null.active, null.gains)
     rival = next(r for r in rivals_of(experiment, m) if r.name == "force")
-    a, h, gains = larger_model(m, experiment.used, experiment.dt,
-                               ((rival, 1000.0 * small.force, CORRELATION),))
+    a, h, gains = larger_model(m, experiment.used, experiment.dt, rival, 1000.0 * small.force,
+                               CORRELATION)
     out = np.full_like(e, np.nan)
     rival_innovations(e, experiment.columns, m.a @ null.gains, a, h, gains, out)
     counted = experiment.stretches[0].counted
@@ -144,7 +144,7 @@ def test_the_missing_force_turns_when_the_motion_does():
 def test_coulomb_friction_is_located_at_the_reversals():
     case = fitted("coulomb_friction", motion="rich")
     for after, named in ((case.after, case.evidence), (None, {})):
-        where = location_of(case.experiment, case.before, after, named)
+        where = location_of(case.experiment, case.before, after or case.before, named)
         assert where.balance["force"] > 0.95
         assert sum(where.balance.values()) == pytest.approx(1.0)
         assert where.regime == "velocity_reversal"
@@ -164,7 +164,7 @@ def test_coulomb_friction_is_located_at_the_reversals():
 def test_the_balance_is_found_without_a_name(effect, balance):
     """What is hidden is in the catalogue or not; here no name is given, only the latent rivals."""
     case = fitted(effect, told=False, motion="rich" if "offset" in effect else "short")
-    where = location_of(case.experiment, case.before, None, {})
+    where = location_of(case.experiment, case.before, case.before, {})
     assert max(where.balance, key=where.balance.get) == balance
     assert where.balance[balance] > 0.8
 

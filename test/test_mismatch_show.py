@@ -9,11 +9,10 @@ from mismatch_tools import fitted, nominal_fit
 from rig_tools import MULTISINE, B, real, settings, simulated, with_channels
 
 from eha_monitor.mismatch.data.experiment import experiment_of
-from eha_monitor.mismatch.data.stretch import cut
+from eha_monitor.mismatch.data.inputs import cut
 from eha_monitor.mismatch.diagnose import diagnose
 from eha_monitor.mismatch.diagnosis import Agreement, Value
-from eha_monitor.mismatch.name.polish import Slopes, polished
-from eha_monitor.mismatch.name.refit import unfitted
+from eha_monitor.mismatch.name.refit import Slopes, polished, unfitted
 from eha_monitor.mismatch.show.held_out import (
     agreement,
     force_residual,
@@ -164,7 +163,8 @@ def test_force_residual_of_a_mass_on_a_damper():
     assert force == pytest.approx(np.hypot(120.0, 40.0) / np.sqrt(2.0), rel=0.1)
     assert residual < 0.01 * force
     dry = forced(10.0)
-    found = shown(dry, nominal_fit(dry), None)
+    nominal = nominal_fit(dry)
+    found = shown(dry, nominal, nominal)
     assert found["force"].unit == "N"
     assert 2.0 < found["force"].before_rms < 8.0  # 10 N, of which the damping takes a part
 

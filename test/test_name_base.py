@@ -10,9 +10,8 @@ from eha_monitor.mismatch.likelihood.gains import Unknowns, smallest_unknowns
 from eha_monitor.mismatch.name.columns import columns_at, placed, rig_free, runs_of
 from eha_monitor.mismatch.name.gates import at_bound
 from eha_monitor.mismatch.name.gram import grams_of
-from eha_monitor.mismatch.name.polish import Slopes, keep_within, polished
 from eha_monitor.mismatch.name.rank import best_over, ranked_at
-from eha_monitor.mismatch.name.refit import evidence_of, joined
+from eha_monitor.mismatch.name.refit import Slopes, evidence_of, joined, keep_within, polished
 from eha_monitor.mismatch.name.starts import (
     LEAST_SHARE,
     base_free,
@@ -192,7 +191,7 @@ def test_what_the_ranking_promises_is_what_the_refit_gains(effect, strength):
     slopes = Slopes(experiment, fit, columns)
     bare, named = (polished(experiment, joined(experiment, fit, columns.what, one), slopes)
                    for one in (none, promised))
-    gained = evidence_of(experiment, named) - evidence_of(experiment, bare)
+    gained = evidence_of(named) - evidence_of(bare)
     wanted = (promised.evidence - promised.prior) - (none.evidence - none.prior)
     assert 30.0 < wanted < 200.0
     assert gained == pytest.approx(wanted, rel=0.05)

@@ -201,10 +201,14 @@ def test_a_number_of_the_rig_stays_at_its_tolerance_unless_it_is_wrong():
 
 
 def test_no_set_holds_two_of_a_kind():
-    fits = Linear([always(), column("constant_load"), column("constant_load", variant=1),
+    ranking = Linear([always(), column("constant_load"), column("constant_load", variant=1),
                    column("spring_load"), column("coulomb_friction"), column("stribeck_friction"),
                    column("force of x"), column("flow of v"), column("rig.mass", "rig.mass"),
-                   column("added_mass")]).ranking.fits
+                   column("added_mass")]).ranking
+
+    def fits(members, other):
+        return ranking.joining(members)[ranking.order[other]]
+
     assert fits((LOAD,), SPRING) and not fits((LOAD,), Member("constant_load", 1))
     assert not fits((Member("coulomb_friction", 0),), Member("stribeck_friction", 0))
     assert not fits((NAMELESS,), Member("flow of v", 0))  # one unknown function at a time
@@ -221,7 +225,8 @@ def test_what_grows_out_of_an_effect_needs_it_and_takes_its_place():
                      ("coulomb_friction",), size=0.3).ranking
     has = Member("coulomb_friction", -1)
     grown = Member("stribeck_friction", 100, "coulomb_friction")
-    assert ranking.fits((has,), grown) and not ranking.fits((), grown)
+    place = ranking.order[grown]
+    assert ranking.joining((has,))[place] and not ranking.joining(())[place]
     found = ranked_at(ranking.what, ranking.named, [Linear(
         ranking.what, ranking.named, size=0.3).gram], POLICY)[0]
     assert {one.names for one in found} == {

@@ -15,11 +15,9 @@ from eha_monitor.mismatch.data.experiment import experiment_of
 from eha_monitor.mismatch.likelihood.fit import remade
 from eha_monitor.mismatch.name.candidates import log_prior
 from eha_monitor.mismatch.name.columns import rig_free
-from eha_monitor.mismatch.name.finalists import finish
+from eha_monitor.mismatch.name.finalists import finish, lesser, without_each
 from eha_monitor.mismatch.name.naming import in_place_of
-from eha_monitor.mismatch.name.neighbours import lesser, without_each
 from eha_monitor.mismatch.name.nominal import lacks, nominal_model, resolved_nominal, with_rig
-from eha_monitor.mismatch.name.polish import Slopes, polished
 from eha_monitor.mismatch.name.posterior import Refits, posterior
 from eha_monitor.mismatch.name.posterior import counted as counted_by
 from eha_monitor.mismatch.name.proposals import (
@@ -32,9 +30,11 @@ from eha_monitor.mismatch.name.proposals import (
 )
 from eha_monitor.mismatch.name.rank import Member, Ranked
 from eha_monitor.mismatch.name.refit import (
+    Slopes,
     discrepancy,
     evidence_of,
     informed,
+    polished,
     settled,
     unfitted,
     wide,
@@ -143,8 +143,7 @@ def test_a_clean_model_lacks_nothing_and_one_without_its_friction_much():
     for case, fit in ((clean, clean.before), (rubbing, rubbing.after)):
         assert discrepancy(case.experiment, fit) < 100.0
     assert discrepancy(rubbing.experiment, rubbing.before) > 1000.0
-    gained = evidence_of(rubbing.experiment, rubbing.after) - evidence_of(
-        rubbing.experiment, rubbing.before)
+    gained = evidence_of(rubbing.after) - evidence_of(rubbing.before)
     assert gained == pytest.approx(
         rubbing.after.log_likelihood - rubbing.before.log_likelihood, rel=0.05)
 
@@ -155,7 +154,7 @@ def test_the_evidence_of_a_useless_effect_is_lower():
     with_it = settled(clean.experiment, with_effect(
         clean.before, starts_of("constant_load", clean.experiment)[0], (0.01,)))
     assert with_it.log_likelihood > clean.before.log_likelihood - 1.0
-    assert evidence_of(clean.experiment, with_it) < evidence_of(clean.experiment, clean.before)
+    assert evidence_of(with_it) < evidence_of(clean.before)
 
 
 def test_the_best_set_s_score_is_its_odds_where_nothing_is_left():
@@ -317,7 +316,7 @@ def test_each_member_of_the_best_set_is_taken_away_once():
     without_each(rubbing.experiment, refits)
     assert refits.best() == {"coulomb_friction"}  # a load of nothing is no member
     assert refits.evidence[frozenset({"coulomb_friction"})] == pytest.approx(
-        evidence_of(rubbing.experiment, alone), abs=1.0)
+        evidence_of(alone), abs=1.0)
 
 
 def test_a_number_known_to_a_factor_is_tried_far_off_only_where_something_is_lacking():

@@ -9,15 +9,15 @@ from mismatch_tools import fitted
 
 from eha_monitor.mismatch.likelihood.fit import with_unknowns
 from eha_monitor.mismatch.likelihood.gains import Unknowns, smallest_unknowns
-from eha_monitor.mismatch.name.columns import runs_of
-from eha_monitor.mismatch.name.starts import Start, entered
-from eha_monitor.mismatch.name.unnamed import (
+from eha_monitor.mismatch.name.columns import (
     HATS,
     INTERMITTENT,
     columns_of,
     hats,
+    runs_of,
     unnamed_of,
 )
+from eha_monitor.mismatch.name.starts import Start, entered
 from eha_monitor.mismatch.policy import POLICY
 
 

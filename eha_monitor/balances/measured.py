@@ -22,8 +22,7 @@ from eha_monitor.balances.course import (
     slope,
 )
 from eha_monitor.errors import InputError
-from eha_monitor.estimation.drive_hold import followed
-from eha_monitor.estimation.hold_choice import command_is_held
+from eha_monitor.estimation.hold_choice import command_is_held, followed
 from eha_monitor.estimation.modelled import contributions_along
 from eha_monitor.estimation.rig_model import added_by, force_missing, force_of
 from eha_monitor.estimation.sensors import (

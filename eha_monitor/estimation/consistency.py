@@ -39,9 +39,7 @@ def variance_ratios(e: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     For white e of unit variance the sum over m samples has variance m; the ratio's standard
     deviation with k blocks is sqrt(2/k).
 
-    Parameters
-    ----------
-    e : (n,) whitened innovations without NaN.
+    ``e`` : (n,) whitened innovations without NaN.
     """
     sums = np.concatenate([[0.0], np.cumsum(e)])
     lengths, ratios = [], []
@@ -158,9 +156,8 @@ class Window:
 
     Attributes
     ----------
-    dt : sample time, s.
+    dt, start : sample time and time of the first sample, s.
     quantum : resolution of the measurement; slow errors below it are no mismatch.
-    start : time of the first sample, s.
     seconds : this is a window of so many seconds of a longer record: then a parameter that drifts
         may be a little behind also where it was not seen to change.
     """

@@ -35,9 +35,7 @@ def damped_mass_integrals(g):
     Recurrence E_k = 1/k! - g E_{k+1} (integration by parts), started from the series of E4
     where g is small and from exp where it is not; dE_k/dg = k E_{k+1} - E_k.
 
-    Parameters
-    ----------
-    g : B T / M, dimensionless; may be negative.
+    ``g`` : B T / M, dimensionless; may be negative.
     """
     if -0.5 < g < 0.5:
         # E4 = sum_n (-g)^n/(n+4)!, Horner; the last term is below 1e-14 of the sum

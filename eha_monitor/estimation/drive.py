@@ -5,7 +5,6 @@ The hold is what a sampled input did between its samples, and how uncertain that
 
 import math
 from collections.abc import Collection
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -332,14 +331,6 @@ def follow(course, dt, theta, pump, w, kept):
     return line_start, line_end
 
 
-@dataclass(frozen=True)
-class DriveInput:
-    """Stage two's input, and what the drive remembers after each sample, (n, 1)."""
-
-    hold: Hold
-    kept: np.ndarray
-
-
 def takes_speed(model, channels: Collection[str]) -> bool:
     """Tell whether stage two's input is the measured speed: no loop, or the drive's effects."""
     commanded = model.settings.rig.position_gain is not None and "x_d" in channels
@@ -347,8 +338,8 @@ def takes_speed(model, channels: Collection[str]) -> bool:
 
 
 def drive_input(model, recorded: dict, channels: dict, noise: dict, dt: float,
-                started: np.ndarray | None = None) -> DriveInput:
-    """Return stage two's input.
+                started: np.ndarray | None = None) -> tuple[Hold, np.ndarray]:
+    """Return stage two's input, and what the drive remembers after each sample, (n, 1).
 
     x_d in m where the loop is part of the model; the pump speed in rad/s where it is not: the
     measured one, or the one that the drive makes of x_d - x.  Whether the drive reads the
@@ -383,14 +374,14 @@ def drive_input(model, recorded: dict, channels: dict, noise: dict, dt: float,
         noise_variance = (abs(gain) * noise["x"].value) ** 2
         if plain and sampled:
             hold = hold_of(gain * (channels["x_d"] - channels["x"]), 0.0, sampled=True)
-            return DriveInput(hold.with_noise(noise_variance), kept)
+            return hold.with_noise(noise_variance), kept
         hold = hold_of(channels["x_d"], 0.0)
         hold = hold._replace(variance=gain**2 * hold.variance + noise_variance)
         in_loop, kind, done = bool(w[s.IN_LOOP]), LOOP_OPEN, False
         seen = recorded["x"] if in_loop else channels["x"]
         lead = ((w[s.POSITION_DELAY] if in_loop else 0.0) - w[s.FEEDBACK_DELAY]) / dt
     if done:
-        return DriveInput(hold, kept)
+        return hold, kept
     start, end = follow(Course(kind, hold.start, hold.end, seen, lead, sampled), dt, model.theta,
                         model.pump, w, kept)
     variance = hold.variance
@@ -399,4 +390,4 @@ def drive_input(model, recorded: dict, channels: dict, noise: dict, dt: float,
         for shift in {whole, max(whole - 1, 0)} - {0}:
             moved = np.concatenate([np.full(shift, variance[0]), variance[:-shift]])[:n]
             variance = np.maximum(variance, moved)
-    return DriveInput(Hold(start, end, variance, hold.slow), kept)
+    return Hold(start, end, variance, hold.slow), kept

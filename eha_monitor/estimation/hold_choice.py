@@ -7,20 +7,22 @@ Below this nothing knows of a third kind: the settings have the hold decided.
 
 How well a recording fits an input says :mod:`eha_monitor.estimation.hold_filter`.
 Behind a lag the shaft turns smoothly, and the oil cannot tell what its command did in a sample.
-The drive's own equation can (:mod:`eha_monitor.estimation.drive_hold`).
+The drive's own equation can: tau w' + w = g u + c with u the command as a straight line in each
+sample, or as a step at each stamp.  Each input is fitted by least squares in g, c and the speed at
+the start, and in tau; with n residuals of sum of squares S, log L = -(n/2) log(S/n).
 """
 
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
 from eha_monitor import ties
 from eha_monitor.estimation.discretisation import LINE_TIME, LOOP
 from eha_monitor.estimation.drive import Hold, drive_input, hold_of
-from eha_monitor.estimation.drive_hold import lagged
 from eha_monitor.estimation.hold_filter import Point, Stretch, climbed, fitted
 from eha_monitor.estimation.results import NoiseEstimate
 from eha_monitor.estimation.rig_model import LINE, RigModel, force_of, force_variance, missing
@@ -84,8 +86,7 @@ class HoldDecision:
     Attributes
     ----------
     hold : ``continuous`` or ``sampled``; ``continuous`` where the recording cannot tell.
-    evidence : log units by which it is the better one.
-    decided : whether that is enough.
+    evidence : log units by which it is the better one; ``decided`` : whether that is enough.
     channel : that the hold is of: ``x_d`` or ``omega``.
     lagging : the drive's own equation has said so, with a lag.
     """
@@ -116,8 +117,7 @@ class HoldDecision:
         """What a user must know of it: a held command."""
         if not self.decided or self.hold != SAMPLED:
             return ()
-        return (ChannelFinding(self.sentence, "hold", (self.channel,),
-                               {"command_hold": SAMPLED}),)
+        return (ChannelFinding(self.sentence, "hold", (self.channel,), {"command_hold": SAMPLED}),)
 
 
 def with_hold(settings: Settings, hold: str) -> Settings:
@@ -166,19 +166,6 @@ def for_stages(settings: Settings, decision: HoldDecision | None) -> Settings:
     return with_hold(settings, CONTINUOUS) if lacking else settings
 
 
-@dataclass(frozen=True)
-class Asked:
-    """The stretch that is asked, and both inputs on it.
-
-    ``stretches`` differ in the friction that they take as known.
-    """
-
-    stretches: list[Stretch]
-    continuous: Hold
-    sampled: Hold
-    channel: str
-
-
 def evidence_of(recording: Recording, settings: Settings) -> tuple[float, str, bool] | None:
     """Return the log units for a held command over a continuous one, of which channel and by whom.
 
@@ -194,8 +181,9 @@ def evidence_of(recording: Recording, settings: Settings) -> tuple[float, str, b
     asked = asked_of(recording, settings)
     if asked is None:
         return None
-    held, flowing = later(asked.sampled, 0.0), later(asked.continuous, 0.0)
-    first, second = fitted(asked.stretches, flowing), fitted(asked.stretches, held)
+    stretches, continuous, sampled, channel = asked
+    held, flowing = later(sampled, 0.0), later(continuous, 0.0)
+    first, second = fitted(stretches, flowing), fitted(stretches, held)
     # Each from where the other has come to, too: a search ends at the top of one hill.
     l_flowing, at = ties.best(
         [first, (*_from(second, flowing),)], lambda one: one[0], within=ties.GUESS)[::2]
@@ -204,9 +192,9 @@ def evidence_of(recording: Recording, settings: Settings) -> tuple[float, str, b
     if not (np.isfinite(l_held) and np.isfinite(l_flowing)):
         return None
     return weighed(l_flowing, l_held,
-                   lambda by: climbed(first[1], later(asked.continuous, by), at)[0],
-                   lambda by: climbed(second[1], later(asked.sampled, by), at_held)[0]
-                   ), asked.channel, False
+                   lambda by: climbed(first[1], later(continuous, by), at)[0],
+                   lambda by: climbed(second[1], later(sampled, by), at_held)[0]
+                   ), channel, False
 
 
 def weighed(l_flowing: float, l_held: float, flowing_late: Callable[[float], float],
@@ -226,6 +214,86 @@ def weighed(l_flowing: float, l_held: float, flowing_late: Callable[[float], flo
         l_held = max(l_held, max(held_late(by - 0.5) for by in (1.0, *LATE)) - COINCIDENCE)
         l_flowing = max(l_flowing, late - COINCIDENCE, half - CLEARLY)
     return float(l_held - l_flowing)
+
+
+SHORTEST_LAG, LONGEST_LAG = 0.05, 200.0  # samples: how long a lag may be
+NEAR = 1e-4  # of a lag's logarithm
+SAME_SPEED = 1e-12  # rad/s: what two computations of one speed differ by
+
+
+class Lagged(NamedTuple):
+    """How a drive's speed follows an input.
+
+    Attributes
+    ----------
+    log_likelihood, lag : log units, s.
+    left : (n,) rad/s, what the drive's equation leaves of the speed.
+    through : variance of the speed over that of white noise on the input.
+    """
+
+    log_likelihood: float
+    lag: float
+    left: np.ndarray
+    through: float
+
+
+def weights_of(lag: float, dt: float) -> tuple[float, float, float]:
+    """Return (pole, start, end): w[k] = pole w[k-1] + start u[k-1] + end u[k] of a straight line.
+
+    The exact answer of the first-order lag over a sample in which its input runs from u[k-1] to
+    u[k]; the same at both ends is a command that is held.
+    """
+    if lag <= 0.0:
+        return 0.0, 0.0, 1.0
+    pole = math.exp(-dt / lag)
+    share = (1.0 - pole) * lag / dt
+    return pole, share - pole, 1.0 - share
+
+
+def followed(start: np.ndarray, end: np.ndarray, lag: float, dt: float) -> np.ndarray:
+    """Return the speed of a drive behind a lag, (n,) rad/s, which begins at that of its input.
+
+    Parameters
+    ----------
+    start, end : (n,) the input runs from ``start[k-1]`` to ``end[k]``, rad/s.
+    lag : s.
+    """
+    from scipy.signal import lfilter  # takes half of the start of a command
+
+    pole, first, last = weights_of(lag, dt)
+    moved = np.concatenate([start[:1], first * start[:-1] + last * end[1:]])
+    return lfilter([1.0], [1.0, -pole], moved)
+
+
+def lagged(start: np.ndarray, end: np.ndarray, omega: np.ndarray, there: np.ndarray, dt: float
+           ) -> Lagged:
+    """Fit the drive's equation to a speed.
+
+    Parameters
+    ----------
+    start, end : (n,) the input runs from ``start[k-1]`` to ``end[k]``, rad/s.
+    omega : (n,) rad/s without gaps; ``there`` (n,) bool, where it counts.
+    """
+    from scipy.optimize import minimize_scalar
+
+    number = np.arange(len(omega))
+
+    def fit(log_lag: float) -> tuple[float, np.ndarray, np.ndarray]:
+        lag = dt * math.exp(log_lag)
+        columns = np.column_stack([followed(start, end, lag, dt), np.ones(len(omega)),
+                                   np.exp(-np.minimum(number * dt / lag, 700.0))])
+        found = np.linalg.lstsq(columns[there], omega[there], rcond=None)[0]
+        left = omega - columns @ found
+        return float(left[there] @ left[there]), found, left
+
+    best = minimize_scalar(lambda at: fit(at)[0], method="bounded", options={"xatol": NEAR},
+                           bounds=(math.log(SHORTEST_LAG), math.log(LONGEST_LAG)))
+    squares, found, left = fit(best.x)
+    lag, n = dt * math.exp(best.x), int(there.sum())
+    pole, first, last = weights_of(lag, dt)
+    through = (first**2 + last**2 + 2.0 * pole * first * last) / (1.0 - pole**2)
+    log_likelihood = -0.5 * n * math.log(max(squares / n, SAME_SPEED**2))
+    return Lagged(log_likelihood, lag, left, float(found[0]) ** 2 * through)
 
 
 def evidence_of_drive(recording: Recording, settings: Settings) -> tuple[float, str] | None:
@@ -309,8 +377,12 @@ def _from(found: tuple[float, Stretch, Point], lines) -> tuple[float, Stretch, P
     return best, found[1], at
 
 
-def asked_of(recording: Recording, settings: Settings) -> Asked | None:
-    """Return the stretch of a recording that tells most, and both inputs on it."""
+def asked_of(recording: Recording, settings: Settings
+             ) -> tuple[list[Stretch], Hold, Hold, str] | None:
+    """Return what is asked: the stretch that tells most, both inputs on it, and of which channel.
+
+    The stretch comes once for each friction that is taken as known.
+    """
     rig, dt = settings.rig, recording.sample_time
     commanded = rig.position_gain is not None and recording.has("x_d")
     raw = (mapped(lambda x_d, x: rig.position_gain * (x_d - x), recording.get("x_d"),
@@ -319,9 +391,7 @@ def asked_of(recording: Recording, settings: Settings) -> Asked | None:
     if settings.effects.get(NAMES[LINE]):
         return None  # a line is late by itself, and is not in this filter
     part = Recording(dt, cut)
-    if beyond(cut):
-        return None
-    if missing(settings, part.channels)[1] is not None:
+    if beyond(cut) or missing(settings, part.channels)[1] is not None:
         return None
     noise = noise_levels(part, settings.noise)
     recorded, _ = without_spikes(dict(part.channels), noise)
@@ -331,27 +401,19 @@ def asked_of(recording: Recording, settings: Settings) -> Asked | None:
         gain = gain_followed(channels, noise, rig)
         if gain is None:
             channels = {name: values for name, values in channels.items() if name != "x_d"}
-        else:
-            settings = with_gain(settings, gain)
-            rig = settings.rig
+        elif gain != rig.position_gain:
+            rig = rig.model_copy(update={"position_gain": gain})
+            settings = settings.model_copy(update={"rig": rig})
     if missing(settings, channels)[1] is not None:
         return None  # the pump does not do as told, and what it does is not recorded
     by_demand = "x_d" in channels and rig.position_gain is not None
-    inputs = [open_input(recorded, channels, noise, settings, hold, dt)
-              for hold in (CONTINUOUS, SAMPLED)]
-    if any(one is None for one in inputs):
+    continuous, sampled = (open_input(recorded, channels, noise, settings, hold, dt)
+                           for hold in (CONTINUOUS, SAMPLED))
+    if continuous is None or sampled is None:
         return None
-    continuous, sampled = inputs
     sigma = noise["x"].value * abs(rig.position_gain) if by_demand else noise["omega"].value
-    return Asked(stretches_of(channels, noise, settings, continuous, sigma, dt), continuous,
-                 sampled, "x_d" if by_demand else "omega")
-
-
-def with_gain(settings: Settings, gain: float) -> Settings:
-    """Return the settings with this K_pos, rad/(s m)."""
-    rig = settings.rig
-    return settings if gain == rig.position_gain else settings.model_copy(
-        update={"rig": rig.model_copy(update={"position_gain": gain})})
+    return (stretches_of(channels, noise, settings, continuous, sigma, dt), continuous, sampled,
+            "x_d" if by_demand else "omega")
 
 
 def gain_followed(channels: dict[str, np.ndarray], noise: dict[str, NoiseEstimate], rig: Rig
@@ -372,8 +434,7 @@ def gain_followed(channels: dict[str, np.ndarray], noise: dict[str, NoiseEstimat
     return gain if within and follows(channels, noise, gain) else None
 
 
-def follows(channels: dict[str, np.ndarray], noise: dict[str, NoiseEstimate],
-            gain: float) -> bool:
+def follows(channels: dict[str, np.ndarray], noise: dict[str, NoiseEstimate], gain: float) -> bool:
     """Tell whether the pump follows K_pos (x_d - x) at each stamp, or is not recorded.
 
     Where it does not, the drive has a lag, a delay or a limit, and the speed that it made is the
@@ -382,25 +443,24 @@ def follows(channels: dict[str, np.ndarray], noise: dict[str, NoiseEstimate],
     if "omega" not in channels:
         return True
     left = channels["omega"] - gain * (channels["x_d"] - channels["x"])
-    return white(left[np.isfinite(left)] / np.hypot(noise["omega"].value,
-                                                    gain * noise["x"].value))
+    return white(left[np.isfinite(left)] / np.hypot(noise["omega"].value, gain * noise["x"].value))
 
 
-def white(left: np.ndarray) -> bool:
+def white(left: np.ndarray, block: int = BLOCK) -> bool:
     """Tell whether residuals in standard deviations of the noise are no more than that, (n,)."""
-    blocks = len(left) // BLOCK
+    blocks = len(left) // block
     if not blocks:
         return True
-    means = left[: blocks * BLOCK].reshape(blocks, BLOCK).mean(axis=1) * np.sqrt(BLOCK)
+    means = left[: blocks * block].reshape(blocks, block).mean(axis=1) * np.sqrt(block)
     return bool(np.mean(left**2) < IDEAL and np.mean(means**2) < IDEAL)
 
 
 def open_input(recorded: dict, channels: dict, noise: dict, settings: Settings, hold: str,
                dt: float) -> Hold | None:
     """Return the pump's speed in each sample under a hold, without gaps; None where none came."""
-    model = RigModel.of(with_hold(settings, hold), commanded="x_d" in channels)
-    model = replace(model, loop=False)
-    made = drive_input(model, recorded, channels, noise, dt).hold
+    model = replace(RigModel.of(with_hold(settings, hold), commanded="x_d" in channels),
+                    loop=False)
+    made, _ = drive_input(model, recorded, channels, noise, dt)
     lines = []
     for line in (made.start, made.end):
         if np.isfinite(line).sum() < FEWEST:

@@ -313,9 +313,7 @@ def fitted(stretches: list[Stretch], lines: tuple[np.ndarray, np.ndarray]
     A filter that leans on the model and one that yields start on a grid of the compliance: what is
     missing can stand between the one and the other.
 
-    Parameters
-    ----------
-    stretches : the same samples with different forces that the recording tells.
+    ``stretches`` : the same samples with different forces that the recording tells.
     """
     starts = [(stretch, Point(stretch.damping[0], c, force, flow)) for stretch in stretches
               for force, flow in LEANING for c in GRID]

@@ -114,8 +114,7 @@ class StageInputs:
         recorded, spikes = without_spikes(
             {name: recording.channels[name] for name in names}, noise,
             known.counted if known else None)
-        circuit = known.model.circuit if known else circuit_of(
-            *theta_of(rig, settings.effects))
+        circuit = known.model.circuit if known else circuit_of(*theta_of(rig, settings.effects))
         channels, noise = undo_sensors(
             recorded, noise, circuit, since + recording.sample_time * np.arange(len(recording)))
         if known:
@@ -130,12 +129,10 @@ class StageInputs:
         if no_force is None:
             variance = force_variance(rig, noise, settings.stage_one.force_noise)
             measured_force = force_of(rig, channels)
-            force = hold_of(measured_force, variance**0.5,
-                            kinked=model.held).with_noise(variance)
+            force = hold_of(measured_force, variance**0.5, kinked=model.held).with_noise(variance)
         if no_drive is None:
-            made = drive_input(model, recorded, channels, noise, recording.sample_time,
-                               known.started if known else None)
-            drive, kept = made.hold, made.kept
+            drive, kept = drive_input(model, recorded, channels, noise, recording.sample_time,
+                                      known.started if known else None)
         both = "p1" in channels and "p2" in channels
         charge = np.array([rig.charge_pressure])
         leak_flow = measured_leakage(rig, channels)
@@ -279,11 +276,6 @@ class PiecedInputs:
             max(circuit[s.COMMAND_DELAY], circuit[s.FEEDBACK_DELAY], REST_S) / self.dt)
         self._kept: dict[int, np.ndarray | None] = {0: None}  # piece -> what the drive remembers
         self._course, self._spikes, self._seen = Table(), {}, 0
-
-    @property
-    def measured_force(self) -> np.ndarray:
-        """Of the sample."""
-        return self.facts.measured_force
 
     @property
     def rest(self) -> np.ndarray:

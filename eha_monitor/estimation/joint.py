@@ -16,6 +16,7 @@ import numpy as np
 from eha_monitor.compiled import njit
 from eha_monitor.estimation.discretisation import BETA_0, LOOP, MASS, discretise
 from eha_monitor.estimation.drive import Hold, hold_of, speed_hold
+from eha_monitor.estimation.hold_choice import white
 from eha_monitor.estimation.inputs import Inputs, Piece, PiecedInputs, inputs_of
 from eha_monitor.estimation.results import (
     LARGEST_NIS,
@@ -41,7 +42,7 @@ LEAKAGE_SPREAD = 20.0  # prior standard deviation of C_T over its configured val
 SHORTEST = 200  # samples
 NARROW = 100.0
 MEDIAN_SQUARE = 0.4549  # of a normal deviate
-IDEAL = 1.5  # variance over that of the noise, sample by sample and in means of 64
+BLOCK = 64  # samples of the means by which the drive is ideal
 WRONG = 10.0  # NIS above which the joint answer is none
 
 
@@ -289,16 +290,13 @@ def fits(stage: StageResult) -> bool:
             and stage.consistency.consistent)
 
 
-def hold_of_speed(recording: Recording, settings: Settings, inputs: Inputs) -> Hold | None:
-    """Return the hold of the measured pump speed, or None.
+def hold_of_speed(recording: Recording, inputs: Inputs) -> Hold:
+    """Return the hold of the measured pump speed.
 
     The measured force sees what smoothing leaves of the noise, so all of it passes the oil here.
     """
-    if "omega" not in recording.channels:
-        return None
     hold = speed_hold(recording.channels["omega"], inputs.noise["omega"].value,
-                      inputs.model.ringing * inputs.dt,
-                      sampled=inputs.model.held)
+                      inputs.model.ringing * inputs.dt, sampled=inputs.model.held)
     return hold._replace(variance=hold.variance + hold.slow)
 
 
@@ -316,11 +314,7 @@ def drive_is_ideal(recording: Recording, settings: Settings, inputs: Inputs) -> 
     residual = recording.channels["omega"] - gain * (recording.channels["x_d"] - inputs.x)
     sigma = np.hypot(inputs.noise["omega"].value, gain * inputs.noise["x"].value)
     residual = residual[np.isfinite(residual)] / sigma
-    blocks = len(residual) // 64
-    if not blocks:
-        return False
-    means = residual[: blocks * 64].reshape(blocks, 64).mean(axis=1) * 8.0
-    return bool(np.mean(residual**2) < IDEAL and np.mean(means**2) < IDEAL)
+    return len(residual) >= BLOCK and white(residual, BLOCK)
 
 
 def run_joint(inputs: Inputs, recording: Recording, settings: Settings, one: StageResult,
@@ -362,7 +356,7 @@ def run_joint(inputs: Inputs, recording: Recording, settings: Settings, one: Sta
     for piece in inputs.pieces(recording, since):
         part, rows = piece.inputs, piece.recording
         hold = (hold_of(rows.channels["x_d"], 0.0) if ideal
-                else hold_of_speed(rows, settings, inputs)).part(piece.within)
+                else hold_of_speed(rows, inputs)).part(piece.within)
         out = np.empty((7, part.rows))
         hold = hold._replace(start=part.moving(hold.start))
         filter_joint(RowsJoint(part.x, part.moving(part.measured_force), *hold[:3]), given, state,
@@ -395,9 +389,9 @@ def joint_result(x: np.ndarray, P: np.ndarray, nis: float, settings: Settings, b
     sigma = factor * np.sqrt(np.diag(covariance))
     values = {"B": x[3], "beta_e": beta_0 / c, "L": x[5] / per_volume}
     units = units_of(rig.motion)
-    priors = {"B": (settings.stage_one.prior, settings.stage_one.prior_stddev),
-              "beta_e": (settings.stage_two.prior, settings.stage_two.prior_stddev,
-                         settings.stage_two.largest),
+    one, two = settings.stage_one, settings.stage_two
+    priors = {"B": (one.prior, one.prior_stddev),
+              "beta_e": (two.prior, two.prior_stddev, two.largest),
               "L": (rig.leakage, LEAKAGE_SPREAD * max(rig.leakage, 1e-15))}
     estimates: dict[str, ParameterEstimate] = {
         name: judge_parameter(name, float(value), float(sigma[i]), units[name], *priors[name])
@@ -444,7 +438,8 @@ def observability(estimate: Estimate) -> ObservabilityTable:
     there are none) and a vague prior; its covariance then is the inverse Fisher information,
     unknown initial state included.  The states are the model's own motion under the recorded
     drive input, so that a recording which the model does not fit cannot pretend to tell more.
-    Without a drive input see :func:`without_drive`.
+    Without a drive input the pump's flow is unknown, so the flow balance says nothing about beta_e
+    and L; the force balance is stage one, whose covariance is the bound of B.
     """
     recording, settings = estimate.recording, estimate.settings
     inputs = inputs_of(recording, settings)
@@ -461,29 +456,10 @@ def observability(estimate: Estimate) -> ObservabilityTable:
                                     for bound in bounds))
 
 
-def without_drive(estimate: Estimate) -> dict[str, float]:
-    """Return the bounds from position and force alone.
-
-    The pump's flow is unknown then, so the flow balance says nothing about beta_e and L; the
-    force balance is stage one, whose covariance is the bound of B.
-    """
-    b = estimate.by_stages["B"]
-    told = b.status == "converged" and b.value != 0.0
-    return {"B": float(b.stddev / abs(b.value)) if told else np.inf, "beta_e": np.inf,
-            "L": np.inf}
-
-
-def stands_still(omega: np.ndarray, inputs: Inputs) -> bool:
-    """Tell whether the pump speed is nothing but its sensor's noise."""
-    return bool(np.nanmean(omega**2) < STILL**2 * inputs.noise["omega"].value ** 2)
-
-
 class Bound:
     """The bound of B, beta_e and L from some channels, over the pieces of a recording.
 
-    Attributes
-    ----------
-    driven : whether a drive input is among the channels.
+    ``driven`` : whether a drive input is among the channels.
     """
 
     def __init__(self, channels: tuple[str, ...], estimate: Estimate, inputs: Inputs):
@@ -500,7 +476,8 @@ class Bound:
         if self.driven and "x_d" not in channels:
             omega = (inputs.sample if isinstance(inputs, PiecedInputs)
                      else estimate.recording).channels["omega"]
-            self._still = stands_still(omega, inputs)
+            self._still = bool(  # the speed is nothing but its sensor's noise
+                np.nanmean(omega**2) < STILL**2 * inputs.noise["omega"].value ** 2)
         self._state = new_state_joint(self._values, (VAGUE * self._values) ** 2)
 
     def take(self, piece: Piece) -> None:
@@ -511,7 +488,7 @@ class Bound:
         if "x_d" in self.channels:
             hold = hold_of(rows.channels["x_d"], 0.0)
         else:
-            hold = hold_of_speed(rows, self.estimate.settings, inputs)
+            hold = hold_of_speed(rows, inputs)
         variance = hold.variance
         if self._still:
             hold = hold_of(np.zeros(len(rows)), 0.0)  # its noise is no motion
@@ -529,7 +506,10 @@ class Bound:
     def relative(self) -> dict[str, float]:
         """Relative standard deviations of B, beta_e and L."""
         if not self.driven:
-            return without_drive(self.estimate)
+            b = self.estimate.by_stages["B"]
+            told = b.status == "converged" and b.value != 0.0
+            return {"B": float(b.stddev / abs(b.value)) if told else np.inf, "beta_e": np.inf,
+                    "L": np.inf}
         found = np.sqrt(np.maximum(np.diag(self._state.P)[3:6], 0.0)) / self._values
         found = np.where(found > 0.1 * VAGUE, np.inf, found)
         return dict(zip(("B", "beta_e", "L"), map(float, found), strict=True))

@@ -57,11 +57,6 @@ def estimate(recording: Recording, settings: Settings) -> Estimate:
     drive holds its command over each sample (:mod:`hold_choice`); where the recording cannot
     tell, both answers are in the uncertainty.
 
-    Parameters
-    ----------
-    recording : aligned channels.
-    settings : config.
-
     Raises
     ------
     InputError
@@ -208,7 +203,9 @@ def stage_result(stage: Stage, out: list[np.ndarray], seen: Changes, inputs: Inp
     parameter, unit = stage.judged(settings, value[-1], stddev[-1]), stage.unit(settings)
     verdict = stage_verdict(stage, parameter, innovation, sigma,
                             Window(inputs.dt, inputs.quantum), seen.rows)
-    first = first_converged(value, stddev, stage.prior(settings).prior_stddev)
+    prior_stddev = stage.prior(settings).prior_stddev
+    first = first_where(lambda v, s: (s < CONVERGED * v) & (s < prior_stddev / GAINED),
+                        value, stddev)
     if first is not None:
         events.append(Event(first * inputs.dt, stage.key,
                             f"{SYMBOLS[stage.parameter]} converged at "
@@ -255,12 +252,6 @@ def as_it_stands(event: Event, model: ModelStatus, stages: tuple[StageResult, St
     return replace(event, message=f"{event.message} ({said})") if said else event
 
 
-def first_converged(value: np.ndarray, stddev: np.ndarray, prior_stddev: float) -> int | None:
-    """Return the first sample at which a parameter counts as converged."""
-    return first_where(lambda v, s: (s < CONVERGED * v) & (s < prior_stddev / GAINED),
-                       value, stddev)
-
-
 def hand_over(one: StageResult, settings: Settings, recording: Recording, events: list[Event],
               inputs: Inputs) -> tuple[np.ndarray, np.ndarray]:
     """Return the damping that stage two takes at each sample and its variance, (n,) each."""
@@ -303,10 +294,7 @@ def tested_model(status: ModelStatus, stages: tuple[StageResult, StageResult],
                  beside: tuple[Beside, ...]) -> ModelStatus:
     """Return the verdict on the model with the misfits behind it and what they taint.
 
-    Parameters
-    ----------
-    status : the verdict alone.
-    beside : least squares along the recording; what stands of them at its end.
+    ``beside`` : least squares along the recording; what stands of them at its end.
     """
     if status.status == "consistent":
         return status

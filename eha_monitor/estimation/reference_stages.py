@@ -230,8 +230,7 @@ def run_two(rows: two.RowsTwo, constants: two.ConstantsTwo, effects: modelled.Ef
             delta, information, window = change
             before = constants.k[BETA_0] / ekf.x[C_PLACE]
             two.jump_two(ekf.x, ekf.P, delta, information)
-            found = _note(events, found,
-                          (k, before, constants.k[BETA_0] / ekf.x[C_PLACE], window))
+            found = _note(events, found, (k, before, constants.k[BETA_0] / ekf.x[C_PLACE], window))
         compliance, factor = max(ekf.x[C_PLACE], 1e-9), watch.honest_factor(w)
         beta = constants.k[BETA_0] / compliance
         own = factor**2 * ekf.P[C_PLACE, C_PLACE]

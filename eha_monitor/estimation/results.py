@@ -277,9 +277,7 @@ def stands(looks: Sequence[Beside], elapsed_s: float, symbol: str) -> ParameterE
     A look stands for as long as the rows that it was made of are partly among the last: from look
     to look the same motion is now just enough, now just not.  None where there is none.
 
-    Parameters
-    ----------
-    looks : in order of time.
+    ``looks`` : in order of time.
     """
     place = bisect.bisect_right(looks, elapsed_s + NEAR_S, key=lambda one: one.time_s)
     for one in reversed(looks[:place]):
@@ -324,8 +322,7 @@ class Estimate:
     @property
     def doubted(self) -> dict[str, Taint]:
         """What of :attr:`parameters` is in doubt all the same."""
-        return {name: taint for name, taint in self.model.tainted.items()
-                if taint.instead is None}
+        return {name: taint for name, taint in self.model.tainted.items() if taint.instead is None}
 
     @property
     def joint_doubt(self) -> str:

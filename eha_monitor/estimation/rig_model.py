@@ -257,11 +257,12 @@ def moved_mass(model: "RigModel", dt: float) -> float:
 
 def force_missing(rig: Rig, names) -> str | None:
     """Say why stage one has no input, or None where it has."""
+    pressures = "p1" in names and "p2" in names
     if "x" not in names:
         return "stage one needs the position channel x"
-    if "force" in names or ("p1" in names and "p2" in names and rig.area_1 and rig.area_2):
+    if "force" in names or (pressures and rig.area_1 and rig.area_2):
         return None
-    if "p1" in names and "p2" in names:
+    if pressures:
         return "stage one needs rig.area_1 and rig.area_2 for the pressure force"
     return "stage one needs the channels p1 and p2, or force"
 
@@ -274,9 +275,7 @@ def drive_missing(settings: Settings, names) -> str | None:
     for key in ("area_1", "area_2", "volume_1", "volume_2", "pump_displacement"):
         if getattr(rig, key) is None:
             return f"stage two needs rig.{key}, which the config leaves null"
-    if rig.position_gain is not None and "x_d" in names:
-        return None
-    if "omega" in names:
+    if (rig.position_gain is not None and "x_d" in names) or "omega" in names:
         return None
     return "stage two needs the channel x_d with rig.position_gain, or the channel omega"
 

@@ -28,9 +28,7 @@ _LEVEL_OF = {"x": "position", "v": "velocity", "p1": "pressure", "p2": "pressure
 def quantum(values: np.ndarray) -> float:
     """Return the step of a quantised channel, or 0 where it is continuous.
 
-    Parameters
-    ----------
-    values : (n,) finite samples.
+    ``values`` : (n,) finite samples.
     """
     steps = np.abs(np.diff(values[:20000]))
     scale = np.abs(values).max(initial=0.0)
@@ -51,9 +49,7 @@ def white_noise(values: np.ndarray) -> float:
     (omega T)^d) and add the noise up to sqrt(binomial(2d, d)); the first order that comes near
     the smallest answer is taken.  A trimmed mean keeps reversals and spikes out.
 
-    Parameters
-    ----------
-    values : (n,) samples, NaN where missing.
+    ``values`` : (n,) samples, NaN where missing.
     """
     answers = []
     finite = np.isfinite(values)

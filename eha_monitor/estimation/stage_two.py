@@ -58,8 +58,7 @@ STIFFEST = 1e-2  # smallest compliance beta_0/beta_e: a hundred times stiffer th
 # Places in ``StateTwo.at``: where the matrices were made, the c that they were last expanded to,
 # force of the sample, its part that does not follow the states, flow likewise, variance of the
 # force, integration steps in a sample.
-(AT_C, AT_B, LAST_C, MODELLED_FORCE, CONSTANT_FORCE, CONSTANT_FLOW, NOISE_FORCE,
- STEPS) = range(8)
+(AT_C, AT_B, LAST_C, MODELLED_FORCE, CONSTANT_FORCE, CONSTANT_FLOW, NOISE_FORCE, STEPS) = range(8)
 N_AT = 8
 REFRESH = 5e-3  # relative change of c that asks for a new exact step; between, second order
 

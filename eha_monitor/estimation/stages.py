@@ -57,17 +57,13 @@ def constants_two(inputs: Inputs, settings: Settings) -> ConstantsTwo:
     """Return what stage two takes beside its rows."""
     model = inputs.model
     return ConstantsTwo(model.hydraulics, model.leak, inputs.dt, inputs.position_variance,
-                        force_noise_variance(settings), prior_variance(settings))
+                        (settings.rig.mass * settings.stage_two.acceleration_noise) ** 2,
+                        prior_variance(settings))
 
 
 def prior_variance(settings: Settings) -> float:
     """Variance of the relative compliance before any data."""
     return (settings.stage_two.prior_stddev / settings.stage_two.prior) ** 2
-
-
-def force_noise_variance(settings: Settings) -> float:
-    """Variance of an unmodelled force on a sample in stage two, N^2."""
-    return (settings.rig.mass * settings.stage_two.acceleration_noise) ** 2
 
 
 class Changes:

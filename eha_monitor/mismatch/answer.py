@@ -30,6 +30,7 @@ from eha_monitor.mismatch.diagnosis import (
     SignalFit,
     Value,
     health_sentences,
+    intermittent_load,
 )
 from eha_monitor.mismatch.learn.validated import (
     Tested,
@@ -244,8 +245,7 @@ def _answers(draft: _Draft) -> _Draft:
                    as_written=as_written)
 
 
-def _located(draft: _Draft, evidence: Mapping[str, float]
-             ) -> tuple[Location, tuple[Curve, ...]]:
+def _located(draft: _Draft, evidence: Mapping[str, float]) -> tuple[Location, tuple[Curve, ...]]:
     """Return where the recordings and the nominal model differ, and the curve of what lacks."""
     experiment, naming, told = draft.experiment, draft.naming, draft.told
     if draft.verdict == "consistent":
@@ -392,11 +392,9 @@ def intermittent(naming: Naming) -> NamedEffect:
     largest = ties.best(naming.loads, lambda load: abs(load[2]))[2]
     when = listed([f"{start:.1f}–{stop:.1f} s ({quantity(force, 'N', 2)})"
                    for start, stop, force in naming.loads])
-    return NamedEffect(
-        INTERMITTENT, "force", f"an intermittent load acts against positive motion at {when}",
-        {"F": Value(largest, np.nan, "N")}, naming.evidence[INTERMITTENT], (),
-        "F(t), constant over stretches of time", "Check what touches the rod at these times.",
-        quantity(abs(largest), "N", 2), naming.probability[INTERMITTENT],
+    return intermittent_load(
+        f"an intermittent load acts against positive motion at {when}", largest,
+        naming.evidence[INTERMITTENT], naming.probability[INTERMITTENT],
         tuple((start, stop) for start, stop, _ in naming.loads))
 
 

@@ -14,7 +14,7 @@ from eha_monitor.balances.answer import Asked, first_answer
 from eha_monitor.balances.candidates import Scale, candidates_of
 from eha_monitor.balances.measured import courses_of
 from eha_monitor.balances.named import DRY_SYMBOLS
-from eha_monitor.balances.policy import POLICY, Policy
+from eha_monitor.balances.policy import POLICY
 from eha_monitor.balances.table import pooled_table, tables_of
 from eha_monitor.mismatch.diagnosis import Diagnosis, Gate, Value
 from eha_monitor.physics.effects import CATALOGUE
@@ -39,31 +39,30 @@ class Filtered(NamedTuple):
 
 
 def instead_of_filter(first: Diagnosis, filtered: Filtered, recordings: list[Recording],
-                      settings: Settings, asked: Asked, policy: Policy = POLICY
-                      ) -> Diagnosis | None:
+                      settings: Settings, asked: Asked) -> Diagnosis | None:
     """Return what least squares answer where it stands, not what a filter does; None elsewhere."""
     found = filtered.answer
     judges = recordings if asked.held_out is None else [asked.held_out]
-    agrees = agrees_closely(first, policy)
-    beyond = far_from_config(first, policy) or bool(first.learned)
+    agrees = agrees_closely(first)
+    beyond = far_from_config(first) or bool(first.learned)
     # Where a filter leaves something, its names make up for laws that it does not have.
     if found.verdict == "mismatch" and not filtered.follows and (agrees or beyond):
         return first
-    if beyond and explains_more(first, found, judges, filtered.settings, policy):
+    if beyond and explains_more(first, found, judges, filtered.settings):
         return first
-    apart = contradicted(first, found, policy)
-    if apart and not (defends(found, first, judges, filtered.settings, policy)
-                      or needs_fewer(found, first, recordings, settings, asked, policy)):
+    apart = contradicted(first, found)
+    if apart and not (defends(found, first, judges, filtered.settings)
+                      or needs_fewer(found, first, recordings, settings, asked)):
         return replace(first, gates=(*first.gates, *apart))
     if found.verdict != "unexplained" or found.learned:
         return None
     # Innovations of another form than the config's laws are no mismatch of this machine, and no
     # balance is theirs.
-    open_ = first.verdict != "mismatch" and not force_is_closed(first, policy)
+    open_ = first.verdict != "mismatch" and not force_is_closed(first)
     return first if agrees or beyond or (open_ and filtered.lacks) else None
 
 
-def far_from_config(found: Diagnosis | None, policy: Policy = POLICY) -> bool:
+def far_from_config(found: Diagnosis | None) -> bool:
     """Tell whether a filter built on the config's laws may be unable to judge what is named.
 
     A filter weighs each sample's innovation: where the config leaves ``near`` of a balance open,
@@ -73,33 +72,33 @@ def far_from_config(found: Diagnosis | None, policy: Policy = POLICY) -> bool:
     if found is None or found.verdict != "mismatch":
         return False
     return any(DRY_SYMBOLS & effect.parameters.keys() for effect in found.effects) or any(
-        leaves_more(fit.before_rms / fit.signal_rms, fit.after_rms / fit.signal_rms, policy)
+        fit.before_rms / fit.signal_rms > POLICY.near
+        and fit.after_rms / fit.signal_rms < POLICY.open * (fit.before_rms / fit.signal_rms)
         for fit in found.signals.values())
 
 
-def force_is_closed(found: Diagnosis, policy: Policy = POLICY) -> bool:
+def force_is_closed(found: Diagnosis) -> bool:
     """Tell whether what is named leaves no more of the force than the sensors make.
 
     Friction, whose law nobody knows, is then none, or as it is written: a filter can judge what
     is smaller, and its search is made to the end.
     """
     force = found.signals.get("force")
-    return force is not None and force.after_rms <= policy.clean * force.noise_rms
+    return force is not None and force.after_rms <= POLICY.clean * force.noise_rms
 
 
-def agrees_closely(found: Diagnosis, policy: Policy = POLICY) -> bool:
+def agrees_closely(found: Diagnosis) -> bool:
     """Tell whether the config's own model leaves no more of any balance than anybody repairs.
 
     A law of a real machine is never the config's, and a filter that weighs each sample sees that
     long before it is a share ``worse`` of a force or a flow.
     """
     return found.verdict == "consistent" and bool(found.signals) and all(
-        one.after_rms <= policy.worse * one.signal_rms for one in found.signals.values())
+        one.after_rms <= POLICY.worse * one.signal_rms for one in found.signals.values())
 
 
-def force_left(recordings: Sequence[Recording], settings: Settings, policy: Policy = POLICY
-               ) -> float:
-    """Return the rms of the force that the config's own model leaves on unseen parts, N.
+def left_of_force(answer: Diagnosis, recordings: Sequence[Recording], settings: Settings) -> float:
+    """Return the rms of the force that an answer's laws and numbers leave on unseen parts, N.
 
     B and the constant load are fitted there.
 
@@ -108,19 +107,17 @@ def force_left(recordings: Sequence[Recording], settings: Settings, policy: Poli
     InputError
         If a recording has no force balance.
     """
+    numbers = {one.key: one.found.value for one in (*answer.rig_within, *answer.rig_data)}
+    settings = settings.model_copy(update={
+        "effects": answer.config_effects, "rig": settings.rig.model_copy(update=numbers)})
     rig, courses = settings.rig, courses_of(recordings, settings)[1]
     base = tuple(one for one in candidates_of("force", Scale.of(courses), rig) if one.always)
-    whole = pooled_table(tables_of(courses, rig, "force", base, policy))
+    whole = pooled_table(tables_of(courses, rig, "force", base, POLICY))
     return whole.rms(whole.crosswise([*whole.places])) * whole.size
 
 
-def leaves_more(before: float, after: float, policy: Policy) -> bool:
-    """Tell whether a model leaves ``near`` of a balance, another less than ``open`` of that."""
-    return before > policy.near and after < policy.open * before
-
-
 def explains_more(first: Diagnosis, found: Diagnosis, recordings: list[Recording],
-                  settings: Settings, policy: Policy = POLICY, share: float = 0.0) -> bool:
+                  settings: Settings, share: float = 0.0) -> bool:
     """Tell whether the first answer leaves less of the force on unseen data than the other.
 
     By more than ``worse`` of it, both as laws of the config and as a balance in its band, or less
@@ -130,21 +127,21 @@ def explains_more(first: Diagnosis, found: Diagnosis, recordings: list[Recording
     if force is None:
         return False
     mine, theirs = (left_of_force(one, recordings, settings) for one in (first, found))
-    return theirs - mine > policy.worse * force.signal_rms or mine < share * theirs
+    return theirs - mine > POLICY.worse * force.signal_rms or mine < share * theirs
 
 
-def defends(found: Diagnosis, first: Diagnosis, recordings: list[Recording], settings: Settings,
-            policy: Policy = POLICY) -> bool:
+def defends(found: Diagnosis, first: Diagnosis, recordings: list[Recording], settings: Settings
+            ) -> bool:
     """Tell whether a filter's answer leaves so much less of the force that it stands as it is.
 
     What least squares have no law for (a sensor's curve) may be hardly any of the force, and yet
     move its numbers: less than ``open`` of what they leave is enough.
     """
-    return explains_more(found, first, recordings, settings, policy, policy.open)
+    return explains_more(found, first, recordings, settings, POLICY.open)
 
 
 def needs_fewer(found: Diagnosis, first: Diagnosis, recordings: list[Recording],
-                settings: Settings, asked: Asked, policy: Policy = POLICY) -> bool:
+                settings: Settings, asked: Asked) -> bool:
     """Tell whether the recordings need fewer names with the sensors as a filter says they err.
 
     Least squares read the sensors as they are: a position that is 3 % too large is a spring that
@@ -163,19 +160,11 @@ def needs_fewer(found: Diagnosis, first: Diagnosis, recordings: list[Recording],
 
     return again is not None and names(again) + len(sensors) < names(first) and all(
         name in again.signals and again.signals[name].after_rms <= (
-            one.after_rms + policy.worse * one.signal_rms)
+            one.after_rms + POLICY.worse * one.signal_rms)
         for name, one in first.signals.items())
 
 
-def left_of_force(answer: Diagnosis, recordings: list[Recording], settings: Settings) -> float:
-    """Return the rms of the force that an answer's laws and numbers leave on unseen data, N."""
-    numbers = {one.key: one.found.value for one in (*answer.rig_within, *answer.rig_data)}
-    return force_left(recordings, settings.model_copy(update={
-        "effects": answer.config_effects, "rig": settings.rig.model_copy(update=numbers)}))
-
-
-def contradicted(first: Diagnosis, found: Diagnosis, policy: Policy = POLICY
-                 ) -> tuple[Gate, ...]:
+def contradicted(first: Diagnosis, found: Diagnosis) -> tuple[Gate, ...]:
     """Return the gate of a filter's answer in which a number of the force is not least squares'.
 
     Only where these name an effect of the force: they have what the filter's laws may lack (a law
@@ -191,7 +180,7 @@ def contradicted(first: Diagnosis, found: Diagnosis, policy: Policy = POLICY
     gates = []
     for symbol in sorted(mine.keys() & theirs.keys()):
         a, b = theirs[symbol], mine[symbol]
-        if abs(a.value - b.value) > policy.varied * np.hypot(a.stddev, b.stddev):
+        if abs(a.value - b.value) > POLICY.varied * np.hypot(a.stddev, b.stddev):
             gates.append(Gate("least_squares", symbol, (
                 f"with {listed([effect_words(one.name) for one in found.effects])} the filter's "
                 f"{symbol} is {with_uncertainty(a.value, a.stddev, a.unit)}, that of "

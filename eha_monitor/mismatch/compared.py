@@ -65,8 +65,7 @@ def compared(recordings: Sequence[Recording], references: Sequence[Recording],
             found = _by_filter(found, recordings, moving, settings)
     left_out = tuple(f"reference {line}, so it says nothing of the healthy machine"
                      for line in lines)
-    return replace(found, advice=left_out + found.advice).around(
-        events).since(points, started)
+    return replace(found, advice=left_out + found.advice).around(events).since(points, started)
 
 
 def beside(machine: Machine, recordings: Sequence[Recording], settings: Settings) -> Diagnosis:

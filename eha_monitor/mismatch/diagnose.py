@@ -21,12 +21,8 @@ from eha_monitor.mismatch.beside_balances import (
     force_is_closed,
     instead_of_filter,
 )
-from eha_monitor.mismatch.data.experiment import (
-    Experiment,
-    by_balances,
-    by_held_side,
-    experiment_of,
-)
+from eha_monitor.mismatch.data.experiment import Experiment, by_balances, experiment_of, mode_of
+from eha_monitor.mismatch.data.inputs import FORCED
 from eha_monitor.mismatch.diagnosis import Diagnosis, Location, Window
 from eha_monitor.mismatch.holds import as_it_reads, searched
 from eha_monitor.mismatch.likelihood.fit import Fit
@@ -103,8 +99,7 @@ def diagnose_and_name(recordings: list[Recording], settings: Settings,
     begins with the models that are ``known`` from a part of it.  See :func:`diagnose`.
     """
     with computing(*(recording.source for recording in recordings)):
-        return _diagnosed(recordings, settings, None, progress or silent,
-                          None, (), (), known)
+        return _diagnosed(recordings, settings, None, progress or silent, None, (), (), known)
 
 
 def _diagnosed(recordings: list[Recording], settings: Settings, held_out: Recording | None,
@@ -113,7 +108,8 @@ def _diagnosed(recordings: list[Recording], settings: Settings, held_out: Record
     if by_balances(recordings, settings):
         say("least squares on the balances", 0.1)
         found = answered(recordings, settings, Asked(held_out, hypothesis, without, vary))
-        if by_held_side(recordings, settings):
+        # Where a pump drives a config with a make-up path there is no other reason.
+        if mode_of(recordings[0], settings) != FORCED and settings.rig.makeup_conductance > 0.0:
             found = replace(found, advice=(HELD, *found.advice))
         return Answered(found, None, False)
     started = time.perf_counter()
@@ -197,11 +193,7 @@ def diagnosed(recordings: list[Recording], experiment: Experiment,
     naming = on_all_of(experiment, named[1])
     if verdict_of(naming) != "consistent" or naming.unexplained > experiment.policy.rival:
         say("testing whether a parameter changed", 0.86)
-        changed = changed_between(naming.experiment, recordings, naming)
-        if changed is not None:
-            naming = Naming(changed.experiment, changed.whole, changed.fit,
-                            consistent=naming.unexplained, unexplained=0.0,
-                            pieces=changed.pieces)
+        naming = changed_between(recordings, naming) or naming
     say("showing the fit on unseen data", 0.88)
     shown = naming.experiment if held_out is None else replace(
         experiment_of([held_out], settings, False), steps=naming.experiment.steps)

@@ -59,6 +59,16 @@ class NamedEffect:
     stability: float = np.nan
 
 
+def intermittent_load(statement: str, force: float, log_evidence: float, probability: float,
+                      when: tuple[tuple[float, float], ...], rivals: tuple[str, ...] = ()
+                      ) -> NamedEffect:
+    """Return a load that comes and goes, ``force`` N at its largest."""
+    return NamedEffect(INTERMITTENT, "force", statement, {"F": Value(force, np.nan, "N")},
+                       log_evidence, rivals, "F(t), constant over stretches of time",
+                       "Check what touches the rod at these times.",
+                       quantity(abs(force), "N", 2), probability, when)
+
+
 @dataclass(frozen=True)
 class RigFinding:
     """A number of the rig of which the recording says another value than the config.
@@ -251,12 +261,10 @@ class ChangePoint:
 
     Attributes
     ----------
-    bag : the recording.
     before_s, since_s : until and from when it is of one state, s from the recording's start.
     what, symbol, balance : effect, parameter, and where it acts.
     step : by how much, with the standard deviation.
     removed : share of the balance's error on unseen parts that goes with it.
-    statement : one sentence.
     """
 
     bag: str
@@ -459,12 +467,9 @@ class Diagnosis:
             return found
         largest = max(loads, key=lambda one: abs(one.mean))
         when = tuple((one.start_s, one.stop_s) for one in loads)
-        effect = NamedEffect(
-            INTERMITTENT, "force", "; ".join(one.statement for one in loads),
-            {"F": Value(largest.mean, np.nan, "N")}, np.nan,
-            ("pressure_offset",) if largest.by_pressures else (),
-            "F(t), constant over stretches of time", "Check what touches the rod at these times.",
-            quantity(abs(largest.mean), "N", 2), POLICY.certain, when)
+        effect = intermittent_load(
+            "; ".join(one.statement for one in loads), largest.mean, np.nan, POLICY.certain, when,
+            ("pressure_offset",) if largest.by_pressures else ())
         where = self.location
         if self.verdict == "consistent":
             where = Location(dict.fromkeys(where.balance, 0.0) | {"force": 1.0}, "", when)
@@ -474,9 +479,7 @@ class Diagnosis:
     def since(self, points: tuple[ChangePoint, ...], started: float) -> "Diagnosis":
         """Return it as the answer for what came after some changes, which its message names.
 
-        Parameters
-        ----------
-        started : when all of it began, s of ``time.perf_counter``.
+        ``started`` : when all of it began, s of ``time.perf_counter``.
         """
         found = replace(self, wall_s=time.perf_counter() - started)
         if not points:

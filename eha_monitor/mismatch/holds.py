@@ -107,8 +107,7 @@ def searched(under: Callable[[Settings], Experiment], held: Settings,
             return stands
         may_end = may_end and not followed
     decision = replace(decision, hold=other().settings.command_hold, evidence=gained, decided=True)
-    return Searched(other(), decision, *_named(
-        name, *_followed(begin, other(), may_end, None)))
+    return Searched(other(), decision, *_named(name, *_followed(begin, other(), may_end, None)))
 
 
 def _followed(step: Callable, *arguments) -> tuple[Any, bool]:
@@ -142,9 +141,7 @@ def late_as_held(naming: Naming) -> bool:
 def apart_under(windows: Experiment, found: Fit) -> dict[str, float]:
     """Return by how much B and beta_e of a set move under another hold, SI; refitted from there.
 
-    Parameters
-    ----------
-    windows : of the same samples, under the other hold.
+    ``windows`` : of the same samples, under the other hold.
     """
     try:
         there = settled(windows, with_unknowns(windows, found))

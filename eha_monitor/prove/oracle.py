@@ -23,8 +23,15 @@ from eha_monitor.mismatch.data.experiment import Experiment, experiment_of
 from eha_monitor.mismatch.likelihood.fit import Fit, Free, remade, spread, with_unknowns
 from eha_monitor.mismatch.name.columns import columns_at, effects_of, rig_free
 from eha_monitor.mismatch.name.nominal import nominal
-from eha_monitor.mismatch.name.polish import ROUGHLY, Slopes, polished
-from eha_monitor.mismatch.name.refit import ROUGH_STEPS, at_level, settled, wide
+from eha_monitor.mismatch.name.refit import (
+    ROUGH_STEPS,
+    ROUGHLY,
+    Slopes,
+    at_level,
+    polished,
+    settled,
+    wide,
+)
 from eha_monitor.mismatch.name.starts import (
     Start,
     needs,

@@ -128,9 +128,7 @@ def with_motion(found: Advice, recordings: list[Recording], settings: Settings, 
 
     Unchanged behind a valve circuit, where no model predicts a motion.
 
-    Parameters
-    ----------
-    settings : with the effects that the balances name.
+    ``settings`` : with the effects that the balances name.
     """
     experiment = experiment_of(recordings, settings, hold_out=False)
     if experiment.mode != FORCED and by_balances(recordings, settings):
@@ -222,8 +220,7 @@ def hidden(fit: Fit, c: Confusion, reading: Reading) -> Question:
     share = size / abs(d.amount)
     truth = with_effect(fit, d.start, tuple(share if p.name == c.symbol else 0.0
                                             for p in CATALOGUE[c.effect].sizes))
-    return Question(c.effect, "", c.parameter, steady, truth, fit, size, c.symbol, c.unit,
-                    "other")
+    return Question(c.effect, "", c.parameter, steady, truth, fit, size, c.symbol, c.unit, "other")
 
 
 def pair(experiment: Experiment, fit: Fit, effect: str, rival: str, other: Fit) -> Question:

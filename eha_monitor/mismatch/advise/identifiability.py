@@ -166,11 +166,7 @@ class Reading:
         self.weights = {slope.label: slope.weight for slope in base}
         self.labels = [slope.label for slope in base]
         self.plateaus = gram.count_part / max(gram.count, 1)
-
-    @property
-    def has_plateaus(self) -> bool:
-        """Tell whether the recording has plateaus of speed to speak of."""
-        return self.plateaus >= LEAST_STEADY
+        self.has_plateaus = self.plateaus >= LEAST_STEADY
 
     def known(self, units: dict[str, str]) -> tuple[Known, ...]:
         """Return the fitted parameters with standard deviations and variance inflation."""
@@ -206,8 +202,7 @@ class Reading:
             if parameter in self.labels:
                 one = abs(self.shift(d, parameter, d.amount, steady))
                 if one > 0:
-                    size = min(size, SHIFT * abs(self.fit.value(parameter)) / one
-                               * abs(d.amount))
+                    size = min(size, SHIFT * abs(self.fit.value(parameter)) / one * abs(d.amount))
         return size
 
     def confusions(self) -> tuple[Confusion, ...]:

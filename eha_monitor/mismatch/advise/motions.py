@@ -12,15 +12,7 @@ from eha_monitor.mismatch.data.inputs import CLOSED, FORCED, cubics
 from eha_monitor.mismatch.likelihood.fit import Fit, free_run
 from eha_monitor.physics import signals as s
 from eha_monitor.physics.contributions import circuit_of, new_memory
-from eha_monitor.physics.plant import (
-    N_OUTPUTS,
-    Y_P1,
-    Y_P2,
-    Step,
-    actuator_of,
-    new_state,
-    sense,
-)
+from eha_monitor.physics.plant import N_OUTPUTS, Y_P1, Y_P2, Step, actuator_of, new_state, sense
 from eha_monitor.physics.simulator import demanded_position, total_duration
 from eha_monitor.settings.rig import Segment
 
@@ -110,32 +102,30 @@ def candidates(limits: Limits) -> list[Motion]:
             "here": Segment(kind="rest", duration=2.0, offset=middle - half),
             "there": Segment(kind="rest", duration=2.0, offset=aside)}),
     ]
-    for name, share, words in (("full", 1.0, "the speed of this recording"),
-                               ("half", 0.5, "half the speed"),
-                               ("tenth", 0.1, "a tenth of the speed")):
-        plans.append((f"triangle_{name}", f"a triangle at {words}",
-                      {"triangle": triangle(share * v)}))
-    plans.append(("triangle_aside", "a triangle at half the speed about another place",
-                  {"triangle": triangle(0.5 * v, aside, half)}))
-    plans.append(("two_triangles", "two triangles, one at a quarter of the other's speed",
-                  {"fast": triangle(v), "slow": triangle(0.25 * v)}))
-    for frequency in (1.0, 2.0, 5.0, 10.0, 20.0):
-        plans.append((f"sine_{frequency:g}_hz", f"a sine of {frequency:g} Hz",
-                      {"sine": sine(frequency)}))
-    plans.append(("sine_small", "a small sine of 2 Hz", {"sine": sine(2.0, share=0.03)}))
-    plans.append(("sine_places", "a sine of 10 Hz at two places", {
-        "here": sine(10.0, middle - half, half), "there": sine(10.0, aside, half)}))
-    plans.append(("multisine", "a multisine of 0.5 to 20 Hz", {"multisine": Segment(
+    slow = {"triangle": triangle(0.5 * v)}
+    tones = {"multisine": Segment(
         kind="multisine", duration=4.0, amplitude=reach, frequency=0.5, frequency_end=20.0,
-        components=12, offset=middle, seed=1)}))
-    plans.append(("chirp", "a chirp of 0.5 to 20 Hz", {"chirp": Segment(
-        kind="chirp", duration=4.0, amplitude=reach, frequency=0.5, frequency_end=20.0,
-        offset=middle)}))
-    plans.append(("steps", "random steps, two a second", {"steps": Segment(
-        kind="steps", duration=4.0, amplitude=reach, frequency=2.0, offset=middle, seed=1)}))
-    slow, tones = (dict(segments) for name, _, segments in plans
-                   if name in ("triangle_half", "multisine"))
-    plans.append(("triangle_and_multisine", "a slow triangle, then a multisine", slow | tones))
+        components=12, offset=middle, seed=1)}
+    plans += [
+        ("triangle_full", "a triangle at the speed of this recording", {"triangle": triangle(v)}),
+        ("triangle_half", "a triangle at half the speed", slow),
+        ("triangle_tenth", "a triangle at a tenth of the speed", {"triangle": triangle(0.1 * v)}),
+        ("triangle_aside", "a triangle at half the speed about another place",
+         {"triangle": triangle(0.5 * v, aside, half)}),
+        ("two_triangles", "two triangles, one at a quarter of the other's speed",
+         {"fast": triangle(v), "slow": triangle(0.25 * v)}),
+        *((f"sine_{frequency:g}_hz", f"a sine of {frequency:g} Hz", {"sine": sine(frequency)})
+          for frequency in (1.0, 2.0, 5.0, 10.0, 20.0)),
+        ("sine_small", "a small sine of 2 Hz", {"sine": sine(2.0, share=0.03)}),
+        ("sine_places", "a sine of 10 Hz at two places",
+         {"here": sine(10.0, middle - half, half), "there": sine(10.0, aside, half)}),
+        ("multisine", "a multisine of 0.5 to 20 Hz", tones),
+        ("chirp", "a chirp of 0.5 to 20 Hz", {"chirp": Segment(
+            kind="chirp", duration=4.0, amplitude=reach, frequency=0.5, frequency_end=20.0,
+            offset=middle)}),
+        ("steps", "random steps, two a second", {"steps": Segment(
+            kind="steps", duration=4.0, amplitude=reach, frequency=2.0, offset=middle, seed=1)}),
+        ("triangle_and_multisine", "a slow triangle, then a multisine", slow | tones)]
     found = [Motion(name, words, within(limits, segments)) for name, words, segments in plans]
     return ties.ordered(found, lambda motion: -motion.duration)
 
@@ -193,8 +183,13 @@ def _tidy(value: float) -> float:
 
 
 def planned(experiment: Experiment, fit: Fit, limits: Limits, motion: Motion) -> Experiment:
-    """Return a motion as an experiment: the fitted model's own outputs, without noise."""
-    return without_noise(with_motion(experiment, fit, limits, motion), fit)
+    """Return a motion as an experiment: the fitted model's own outputs, without noise.
+
+    The rig is at rest where the motion begins, and is driven by it.
+    """
+    blank = (forced(experiment, fit, limits, motion) if experiment.mode == FORCED else
+             demanded(experiment, fit, motion.name, demand_of(motion, experiment.dt)))
+    return without_noise(blank, fit)
 
 
 def without_noise(blank: Experiment, fit: Fit) -> Experiment:
@@ -203,13 +198,6 @@ def without_noise(blank: Experiment, fit: Fit) -> Experiment:
     clean = free_run(blank, stretch, fit)
     clean[~np.isfinite(stretch.z)] = np.nan
     return blank.only((replace(stretch, z=clean),))
-
-
-def with_motion(experiment: Experiment, fit: Fit, limits: Limits, motion: Motion) -> Experiment:
-    """Return the rig at rest where a motion begins, driven by it."""
-    if experiment.mode == FORCED:
-        return forced(experiment, fit, limits, motion)
-    return demanded(experiment, fit, motion.name, demand_of(motion, experiment.dt))
 
 
 def demand_of(motion: Motion, dt: float) -> np.ndarray:
@@ -242,8 +230,8 @@ def at_rest(fit: Fit, x_d: float) -> np.ndarray:
 def forced(experiment: Experiment, fit: Fit, limits: Limits, motion: Motion) -> Experiment:
     """Return a motion of a rig whose driving force is measured: the force that it takes."""
     dt = experiment.dt
-    time = np.arange(max(4, round(motion.duration / dt))) * dt
-    x_d = demanded_position(motion.segments, time)
+    x_d = demand_of(motion, dt)
+    time = np.arange(len(x_d)) * dt
     left, x = np.exp(-2.0 * dt / limits.loop), x_d - x_d[0]
     for _ in range(2):  # two poles, so that the force stays finite at corners
         x = lagged(x, left)
@@ -262,8 +250,7 @@ def forced(experiment: Experiment, fit: Fit, limits: Limits, motion: Motion) -> 
     if experiment.used[1]:
         z[:, 1] = 0.0
     stretch = Stretch(motion.name, 0.0, z, cubics(force, 0.0), track[:, s.P1].copy(),
-                      track[:, s.P2].copy(),
-                      time >= BURN_IN, np.zeros(len(time), dtype=bool))
+                      track[:, s.P2].copy(), time >= BURN_IN, np.zeros(len(time), dtype=bool))
     return experiment.only((stretch,))
 
 

@@ -37,26 +37,19 @@ def simulated(experiment: Experiment, fit: Fit) -> Experiment:
         clean = free_run(experiment, stretch, fit)
         z = clean + np.nan_to_num(experiment.noise) * rng.standard_normal(clean.shape)
         step = experiment.position_step
-        if step > 0:
+        if step > 0:  # of the noise a part is rounding
+            white = float(np.sqrt(max(experiment.noise[0] ** 2 - (step / np.sqrt(12.0))**2, 0.0)))
             z[:, 0] = step * np.round(
-                (clean[:, 0] + white_part(experiment) * rng.standard_normal(len(stretch))) / step)
+                (clean[:, 0] + white * rng.standard_normal(len(stretch))) / step)
         z[~np.isfinite(stretch.z)] = np.nan
         parts.append(replace(stretch, z=z, u=noisy_input(experiment, stretch, rng)))
     return replace(experiment.only(tuple(parts)), hears=False)
 
 
-def white_part(experiment: Experiment) -> float:
-    """Return the position noise that is not rounding, m."""
-    rounding = experiment.position_step / np.sqrt(12.0)
-    return float(np.sqrt(max(experiment.noise[0] ** 2 - rounding**2, 0.0)))
-
-
 def noisy_input(experiment: Experiment, stretch: Stretch, rng: np.random.Generator) -> np.ndarray:
     """Return the input as it would be measured: x_d is known, a sensor's is not."""
-    if experiment.mode == CLOSED:
-        return stretch.u
     noise = experiment.input_noise
-    if noise <= 0:
+    if experiment.mode == CLOSED or noise <= 0:
         return stretch.u
     return cubics(stretch.u[:, 0] + noise * rng.standard_normal(len(stretch)), noise,
                   experiment.held)
@@ -300,9 +293,7 @@ def cheapest(tried: Sequence[Tried], rejected: Sequence[str] = (), wanted: float
 
     Of motions that take as long the one with fewer segments, then the first of the candidates.
 
-    Parameters
-    ----------
-    wanted : log units that must be predicted.
+    ``wanted`` : log units that must be predicted.
     """
     left = [(sum(gain >= wanted for gain in one.gains), one) for one in tried
             if one.motion.name not in rejected]

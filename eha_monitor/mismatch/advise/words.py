@@ -26,7 +26,9 @@ MOST = 4  # sentences of a kind
 
 def sentences(advice: Advice) -> tuple[str, ...]:
     """Return the advice as sentences, the most important first."""
-    found = [confusion_words(c, advice) for c in worst(advice)]
+    # Of each parameter the named and the commonest ones.
+    found = [confusion_words(c, advice) for parameter in BASE
+             for c in [c for c in advice.confusions if c.parameter == parameter][:2]]
     found += [known_words(one) for one in advice.known
               if one.name in BASE and abs(one.correlation) > CONFUSED
               and not any(c.parameter == one.name and one.most_with.startswith(c.effect)
@@ -56,14 +58,6 @@ def rounded(value: float) -> float:
 def unit_of(parameter: str, advice: Advice) -> str:
     """Return the unit of a health parameter."""
     return advice.damping_unit if parameter == "B" else "Pa"
-
-
-def worst(advice: Advice) -> list:
-    """Return the confusions that are said: of each parameter the named and commonest ones."""
-    chosen = []
-    for parameter in BASE:
-        chosen += [c for c in advice.confusions if c.parameter == parameter][:2]
-    return chosen
 
 
 def confusion_words(c: Confusion, advice: Advice) -> str:
@@ -141,7 +135,7 @@ def doubt_words(doubt: Doubt) -> str:
     return f"{amount(doubt.amount, doubt.unit, 2)} of {effect} from {SYMBOLS[doubt.parameter]}"
 
 
-def segment_words(name: str, segment: Segment) -> str:
+def segment_words(segment: Segment) -> str:
     """Return one stretch of a motion: shape, size, time."""
     size = f"amplitude {amount(segment.amplitude, 'm')}" if segment.kind != "rest" else ""
     about = f" about x = {amount(segment.offset, 'm')}" if abs(segment.offset) > 1e-9 else ""
@@ -163,8 +157,7 @@ def segment_words(name: str, segment: Segment) -> str:
 
 def motion_sentence(motion: Motion) -> str:
     """Return a motion in full."""
-    return ", then ".join(segment_words(name, segment)
-                          for name, segment in motion.segments.items())
+    return ", then ".join(map(segment_words, motion.segments.values()))
 
 
 def motion_words(advice: Advice) -> list[str]:
@@ -199,18 +192,16 @@ def motion_words(advice: Advice) -> list[str]:
         best = max((one.gains[advice.doubts.index(doubt)] for one in advice.tried), default=0.0)
         most = f"{number(best, 2)} log units" if best >= 1.0 else "less than 1 log unit"
         found.append("no motion within the travel and the speed of this recording distinguishes "
-                     f"{doubt_words(doubt)} (at best {most}); "
-                     f"at the rig: {check}")
+                     f"{doubt_words(doubt)} (at best {most}); at the rig: {check}")
     return found
 
 
 def check_words(check: Check, damping_unit: str) -> str:
     """Return what came of the proposed motion in simulation."""
-    values = listed([f"{SYMBOLS[name]} = {amount(found, unit, 4)} where "
-                     f"{amount(true, unit, 4)} is true"
-                     for name, (found, _, true), unit in (
-                         (name, row, damping_unit if name == "B" else "Pa")
-                         for name, row in check.values.items())])
+    units = {"B": damping_unit, "beta_e": "Pa"}
+    values = listed([f"{SYMBOLS[name]} = {amount(found, units[name], 4)} where "
+                     f"{amount(true, units[name], 4)} is true"
+                     for name, (found, _, true) in check.values.items()])
     other = f" against {effect_words(check.rival)}" if check.rival else ""
     failed = "" if check.found >= DECISIVE else ", so that motion is not decisive"
     return (f"checked in simulation with noise: {effect_words(check.effect)}{other} "

@@ -19,15 +19,19 @@ from eha_monitor.estimation.sensors import (
     without_spikes,
 )
 from eha_monitor.mismatch.data.inputs import (
+    BURN_IN,
     CLOSED,
     FORCED,
     OPEN,
+    Rows,
+    Stretch,
     angle_of,
     course_of,
     noise_governs,
     present,
+    speed_of,
+    windows_of,
 )
-from eha_monitor.mismatch.data.stretch import BURN_IN, Rows, Stretch, windows_of
 from eha_monitor.mismatch.policy import POLICY, SearchPolicy
 from eha_monitor.physics.contributions import NAMES, circuit_of
 from eha_monitor.physics.effect import Ranges
@@ -37,7 +41,6 @@ from eha_monitor.physics.signals import K_POS
 from eha_monitor.recordings.grid import filled
 from eha_monitor.recordings.recording import Recording, between_stops, rows_of, sample_of
 from eha_monitor.settings.monitor import Settings
-from eha_monitor.settings.rig import Rig
 
 OUTPUTS = ("x", "v", "p1", "p2", "omega")
 LONGEST_GAP = 0.02  # s of missing input that is bridged
@@ -80,12 +83,9 @@ class Experiment:
     used : (N_OUTPUTS,) bool, the channels that are compared.
     noise : (N_OUTPUTS,) standard deviation of each sensor, SI.
     theta, active : nominal parameters and the effects that the config has.
-    stretches : the data.
-    ranges : what the record covers.
+    stretches, ranges : the data, and what they cover.
     position_step : resolution of the position sensor, m; 0 where it is continuous.
     input_noise : standard deviation of the noise on a measured input, in its unit.
-    largest_unknown : how far unknown force, flow and speed may go, times their smallest; 1e4
-        times is what the record covers.
     wanted_speed : the input of ``CLOSED`` is the speed that the drive was told, not x_d.
     by_pressures : the input of ``FORCED`` is what the pressure sensors say.
     held : the drive holds its command over each sample, a digital controller.
@@ -110,10 +110,8 @@ class Experiment:
     ranges: Ranges
     position_step: float = 0.0
     input_noise: float = 0.0
-    spikes: dict[str, int] = field(default_factory=dict)
     wanted_speed: bool = False
     drift: float = 0.0
-    largest_unknown: float = 3e4
     by_pressures: bool = False
     held: bool = False
     hears: bool = True
@@ -159,7 +157,7 @@ def experiment_of(recordings: list[Recording], settings: Settings,
     wanted = mode == CLOSED and wants_speed(first)
     if wanted:
         theta[K_POS] = PULL
-    levels, spikes, parts, columns = {}, {}, [], []
+    levels, parts, columns = {}, [], []
     for recording in recordings:
         if abs(recording.sample_time - first.sample_time) > 1e-6 * first.sample_time:
             raise InputError(f"{recording.source}: expected the sample time of {first.source}, "
@@ -174,12 +172,10 @@ def experiment_of(recordings: list[Recording], settings: Settings,
             one for one in chosen if one.recording == number]
         for one in windows:
             rows = recording if chosen is None else rows_of(recording, one.first, one.last)
-            channels, found = without_spikes({name: rows.channels[name] for name in names}, noise)
+            channels, _ = without_spikes({name: rows.channels[name] for name in names}, noise)
             begun = one.first * recording.sample_time
             if mode == FORCED:  # the sensors drive the model
                 channels |= meant(channels, circuit, begun, recording.sample_time)
-            for name, count in found.items():
-                spikes[name] = spikes.get(name, 0) + count
             parts += stretches_of(rows, channels, settings, mode, levels, hold_out, begun)
             columns.append(channels)
     if not parts:
@@ -195,15 +191,10 @@ def experiment_of(recordings: list[Recording], settings: Settings,
     return Experiment(settings, mode, first.sample_time,
                       integration_steps(settings, mode, first.sample_time), used, sigma, theta,
                       active, tuple(parts), ranges, step, input_noise(mode, settings, levels),
-                      spikes, wanted, circuit_drift(settings, mode, columns),
+                      wanted, circuit_drift(settings, mode, columns),
                       by_pressures=mode == FORCED and settings.rig.area_1 is not None
                       and "p1" in levels and "p2" in levels, held=is_held(mode, settings),
                       windows=chosen is not None, without=without)
-
-
-def by_loop(recording: Recording, rig: Rig) -> bool:
-    """Tell whether the pump's speed is what the config's position loop makes of x_d and x."""
-    return rig.position_gain is not None and recording.has("x_d")
 
 
 def meant(channels: dict, w: np.ndarray, begun: float, dt: float) -> dict[str, np.ndarray]:
@@ -227,11 +218,11 @@ def input_noise(mode: int, settings: Settings, levels: dict) -> float:
     def level(name):
         return float(np.median(levels[name])) if name in levels else 0.0
 
+    rig = settings.rig
     if mode == OPEN:
         return level("omega")
-    if mode == FORCED and "p1" in levels and "p2" in levels and settings.rig.area_1:
-        return float(np.hypot(settings.rig.area_1 * level("p1"),
-                              settings.rig.area_2 * level("p2")))
+    if mode == FORCED and "p1" in levels and "p2" in levels and rig.area_1:
+        return float(np.hypot(rig.area_1 * level("p1"), rig.area_2 * level("p2")))
     return level("force") if mode == FORCED else 0.0
 
 
@@ -244,12 +235,12 @@ def mode_of(recording: Recording, settings: Settings) -> int:
         If there is no position, or nothing that moves it.
     """
     rig = settings.rig
-    known = None not in (rig.area_1, rig.area_2, rig.volume_1, rig.volume_2,
-                         rig.pump_displacement)
+    known = None not in (rig.area_1, rig.area_2, rig.volume_1, rig.volume_2, rig.pump_displacement)
     if not recording.has("x"):
         raise InputError(f"{recording.source}: expected a position (channel x), found "
                          f"{', '.join(recording.channels) or 'nothing'}")
-    if known and (wants_speed(recording) or by_loop(recording, rig)):
+    if known and (wants_speed(recording)
+                  or (rig.position_gain is not None and recording.has("x_d"))):
         return CLOSED
     if known and recording.has("omega"):
         return OPEN
@@ -293,15 +284,6 @@ def by_balances(recordings: Sequence[Recording], settings: Settings) -> bool:
     return (rig.area_1 != rig.area_2 and all(one.has("p1", "p2", "omega") for one in recordings)
             and (rig.makeup_conductance == 0.0
                  or all(_on_another_circuit(one, settings) for one in recordings)))
-
-
-def by_held_side(recordings: Sequence[Recording], settings: Settings) -> bool:
-    """Tell of recordings that the balances judge whether a side that is held is the reason.
-
-    Where a pump drives a config with a make-up path there is no other.
-    """
-    return (mode_of(recordings[0], settings) != FORCED
-            and settings.rig.makeup_conductance > 0.0)
 
 
 def _on_another_circuit(recording: Recording, settings: Settings) -> bool:
@@ -387,7 +369,8 @@ def stretches_of(recording: Recording, channels: dict, settings: Settings, mode:
         if (mode == CLOSED and not held and not wants_speed(recording)
                 and "p1" in levels and "p2" in levels):
             known = 0.5 * (levels["p1"][-1]**2 + levels["p2"][-1]**2)
-            entered = pressure_of(off, rig, dt)[:-1] ** 2
+            entered = (rig.position_gain * off * rig.pump_displacement * dt  # Pa, into the oil
+                       * rig.bulk_modulus / min(rig.volume_1, rig.volume_2))[:-1] ** 2
             loose[1:] = np.where(entered > LOOSE * known, entered / (entered + 0.5 * known), 0.0)
         held_out = (np.mod(time, PERIOD) >= PERIOD * (1 - SHARE)) & hold_out
         if (stop - start) * dt < 2 * PERIOD:  # a short record: its last fifth
@@ -401,12 +384,6 @@ def stretches_of(recording: Recording, channels: dict, settings: Settings, mode:
             (time >= BURN_IN) & ~seen & (loose == 0.0), held_out, loose,
             None if angle is None else angle[here]))
     return parts
-
-
-def pressure_of(off: np.ndarray, rig: Rig, dt: float) -> np.ndarray:
-    """Return what a demand off by ``off`` m over a sample does to the pressures, (n,) Pa."""
-    return (rig.position_gain * off * rig.pump_displacement * dt
-            * rig.bulk_modulus / min(rig.volume_1, rig.volume_2))
 
 
 def smooth(values: np.ndarray, otherwise: float) -> np.ndarray:
@@ -448,19 +425,13 @@ def ranges_of(columns: list[dict], settings: Settings, dt: float) -> Ranges:
     low = (pooled(lambda c: np.minimum(c["p1"], c["p2"])) if both
            else np.array([rig.charge_pressure]))
     mean = pooled(lambda c: 0.5 * (c["p1"] + c["p2"])) if both else low
-    gain = rig.position_gain
-
-    def speed(c):
-        if "omega" in c:
-            return c["omega"]
-        return gain * (c["x_d"] - c["x"]) if gain and "x_d" in c else None
 
     # Where pressures drive the model, their noise is part of the force that it is driven by.
-    forced = all(speed(c) is None for c in columns)
+    forced = all(speed_of(c, rig) is None for c in columns)
     force = np.abs(pooled(lambda c: force_of(rig, c), read if forced else columns)) if (
         both or all("force" in c for c in columns)) else rig.mass * a
-    omega = np.abs(pooled(speed))
-    turn = np.abs(pooled(lambda c: slope(speed(c), 1)))
+    omega = np.abs(pooled(lambda c: speed_of(c, rig)))
+    turn = np.abs(pooled(lambda c: slope(speed_of(c, rig), 1)))
 
     def q(values, *levels):
         return tuple(float(max(value, 1e-12)) for value in np.quantile(values, levels))

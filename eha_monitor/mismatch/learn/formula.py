@@ -20,7 +20,7 @@ from eha_monitor import ties
 from eha_monitor.mismatch.data.experiment import Experiment
 from eha_monitor.mismatch.learn.learned import SHARPEST, Form, Learned, score_of
 from eha_monitor.mismatch.likelihood.fit import Fit, Free, remade, spread
-from eha_monitor.mismatch.name.neighbours import CLOSE
+from eha_monitor.mismatch.name.finalists import CLOSE
 from eha_monitor.mismatch.name.refit import settled
 from eha_monitor.physics.contributions import ALL_NAMES, slot_of
 from eha_monitor.physics.own_term import ADDED_UNITS, CONSTANTS, OF_UNITS, expressed_along, parsed
@@ -32,11 +32,10 @@ Start = dict[str, float]
 
 @dataclass(frozen=True)
 class Shape:
-    """A shape.
+    """A shape that a curve may have, with its name in words.
 
     Attributes
     ----------
-    name : in words.
     text : expression in ``u`` and its parameters.
     shown : how a person reads it; parameters and ``u`` in braces.
     units : parameter -> ``y``, ``u``, ``y/u``, ``y/u2``, ``y/u3`` or ``y/ru``: of the curve, of
@@ -374,9 +373,7 @@ def as_expression(shape: Shape, form: Form, values: dict[str, float], scale: flo
                   ) -> tuple[str, dict[str, float]]:
     """Return a shape times its form's factor as an expression of a config, and its parameters.
 
-    Parameters
-    ----------
-    scale : speed over which a term that follows the direction turns round, m/s.
+    ``scale`` : speed over which a term that follows the direction turns round, m/s.
     """
     factor, text = FACTORS[form.times][0], in_signal(shape.text, form.of)
     text = f"({text}){factor}" if factor and ("+" in text or "-" in text) else text + factor

@@ -17,15 +17,14 @@ from eha_monitor.mismatch.likelihood.fit import Fit, Free, remade, spread, with_
 from eha_monitor.mismatch.likelihood.gains import smallest_unknowns
 from eha_monitor.mismatch.name.before import informative
 from eha_monitor.mismatch.name.candidates import log_prior
-from eha_monitor.mismatch.name.columns import Column, Columns, columns_at
+from eha_monitor.mismatch.name.columns import Column, Columns, Unnamed, columns_at
+from eha_monitor.mismatch.name.finalists import CLOSE, lesser
 from eha_monitor.mismatch.name.naming import Naming
-from eha_monitor.mismatch.name.neighbours import CLOSE, lesser
 from eha_monitor.mismatch.name.nominal import with_rig
 from eha_monitor.mismatch.name.proposals import weighed
 from eha_monitor.mismatch.name.rank import Ranked
 from eha_monitor.mismatch.name.refit import evidence_of, joined, looked, settled, unfitted
 from eha_monitor.mismatch.name.select import SKETCH, SKETCH_WINDOW
-from eha_monitor.mismatch.name.unnamed import Unnamed
 from eha_monitor.physics import signals as s
 from eha_monitor.physics.contributions import ALL_NAMES, slot_of
 from eha_monitor.physics.effects import NAMES
@@ -39,8 +38,7 @@ SHARP = 0.02  # of the largest speed: over which a term that follows the directi
 # What a term adds to -> which unknown of the filter stands for it, and its balance.
 UNKNOWN = {"force": "force", "flow": "flow", "flow_1": "flow_1", "flow_2": "flow_2",
            "speed": "drive"}
-BALANCE = {"force": "force", "flow": "flow", "flow_1": "flow", "flow_2": "flow",
-           "speed": "drive"}
+BALANCE = {adds: unknown.partition("_")[0] for adds, unknown in UNKNOWN.items()}
 
 
 @dataclass(frozen=True)
@@ -74,13 +72,11 @@ def forms_of(experiment: Experiment) -> tuple[Form, ...]:
     """Return the forms that an experiment's channels can tell apart."""
     found = [Form("force", "v"), Form("force", "x"), Form("force", "x", "direction"),
              Form("force", "x", "v")]
-    if experiment.mode != FORCED:  # else they are the force itself
-        found += [Form("force", "p", "direction"), Form("force", "dp", "direction")]
-    if experiment.mode == FORCED:
+    if experiment.mode == FORCED:  # the pressures are the force itself
         return tuple(found)
-    found += [Form("flow", "dp"), Form("flow", "x"), Form("flow", "v"), Form("flow", "x", "dp"),
-              Form("flow_1", "p1"), Form("flow_2", "p2")]
-    found.append(Form("flow", "angle", "omega"))
+    found += [Form("force", "p", "direction"), Form("force", "dp", "direction"),
+              Form("flow", "dp"), Form("flow", "x"), Form("flow", "v"), Form("flow", "x", "dp"),
+              Form("flow_1", "p1"), Form("flow_2", "p2"), Form("flow", "angle", "omega")]
     if experiment.mode == CLOSED:
         found += [Form("speed", "omega"), Form("speed", "x")]
     return tuple(found)
@@ -100,13 +96,7 @@ def factor_along(track: np.ndarray, times: str, scale: float) -> np.ndarray:
     """Return what a table is multiplied by along a trajectory, (n,)."""
     if times == "direction":
         return np.tanh(track[:, s.V] / scale)
-    if times == "v":
-        return track[:, s.V] / scale
-    if times == "dp":
-        return signal_along(track, "dp") / scale
-    if times == "omega":
-        return track[:, s.OMEGA] / scale
-    return np.ones(len(track))
+    return np.ones(len(track)) if times == "none" else signal_along(track, times) / scale
 
 
 @dataclass(frozen=True)
@@ -141,8 +131,7 @@ class Guess:
 
     Attributes
     ----------
-    evidence : log units, by the linear guess.
-    values : (KNOTS,) SI.
+    evidence, values : log units, and (KNOTS,) SI.
     ranked : the same guess of all other numbers, of ``what`` columns; its level of the unknowns.
     """
 
@@ -156,7 +145,10 @@ class Guess:
 def tables_of(experiment: Experiment, fit: Fit) -> tuple[Table, ...]:
     """Return every form over what the recordings cover."""
     tracks = filtered_tracks(experiment, fit)
-    units = units_of(experiment, fit)
+    # The prior deviation of a table's values in each balance, SI.
+    units = dict(zip(("force", "flow", "drive"), (
+        experiment.policy.matters * smallest_unknowns(experiment).as_array()).tolist(),
+        strict=True))
     difference = np.abs(np.concatenate([signal_along(track, "dp") for track in tracks]))
     scales = {"direction": max(SHARP * experiment.ranges.speed, 1e-9),
               "v": max(experiment.ranges.speed, 1e-9),
@@ -196,19 +188,12 @@ def periods_of(experiment: Experiment, fit: Fit, tracks: list[np.ndarray]) -> in
     return int(of[ties.largest(sum(shares[of * h] for h in range(1, HARMONICS + 1)))])
 
 
-def units_of(experiment: Experiment, fit: Fit) -> dict[str, float]:
-    """Return the prior deviation of a table's values in each balance, SI."""
-    small = smallest_unknowns(experiment).as_array()
-    return dict(zip(("force", "flow", "drive"),
-                    (experiment.policy.matters * small).tolist(), strict=True))
-
-
 def columns_with(experiment: Experiment, fit: Fit, tables: Sequence[Table]) -> Columns:
     """Return the columns at a fit with those of every knot of tables, a group for each."""
     tracks, terms = filtered_tracks(experiment, fit), []
     for one in tables:
         form = one.form
-        terms.append(Unnamed(form.name, UNKNOWN[form.adds], form.of, tuple(
+        terms.append(Unnamed(form.name, UNKNOWN[form.adds], tuple(
             cardinal(signal_along(track, form.of), KNOTS, one.first, one.last, form.periodic)
             * factor_along(track, form.times, one.scale)[:, None] for track in tracks)))
     return columns_at(experiment, fit, suspects=False, terms=terms)
@@ -296,14 +281,10 @@ class Learned:
         """Places of the values, (count,) SI."""
         return self.table.knots(self.count)
 
-    def places(self) -> list[int]:
-        """Return the places of the values in the fit's covariance."""
-        names = [f.name for f in self.fit.free]
-        return [names.index(knot_name(self.which, i)) for i in range(self.count)]
-
     def covariance(self) -> np.ndarray:
         """Return the covariance of the values, (count, count)."""
-        places = self.places()
+        names = [f.name for f in self.fit.free]
+        places = [names.index(knot_name(self.which, i)) for i in range(self.count)]
         return self.fit.covariance[np.ix_(places, places)]
 
     def curve(self, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -362,7 +343,7 @@ def score_of(experiment: Experiment, fit: Fit) -> float:
     """Return the evidence of a model, prior odds of its names included, log units."""
     if not np.isfinite(fit.log_likelihood):
         return -np.inf
-    return evidence_of(experiment, fit) + log_prior(fit.named, experiment.policy)
+    return evidence_of(fit) + log_prior(fit.named, experiment.policy)
 
 
 def fitted(experiment: Experiment, start: Fit, which: int, guess: Guess, count: int,

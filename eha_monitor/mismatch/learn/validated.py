@@ -32,15 +32,10 @@ from eha_monitor.mismatch.learn.learned import (
 )
 from eha_monitor.mismatch.likelihood.along import contributed
 from eha_monitor.mismatch.likelihood.fit import Fit, Free, remade, spread
-from eha_monitor.mismatch.locate.terms import (
-    Missing,
-    modelled_flow,
-    modelled_force,
-    needed,
-)
+from eha_monitor.mismatch.locate.terms import Missing, modelled_flow, modelled_force, needed
 from eha_monitor.mismatch.name.naming import Naming, beyond_form
 from eha_monitor.mismatch.name.refit import looked, settled
-from eha_monitor.mismatch.show.held_out import shown, worse
+from eha_monitor.mismatch.show.held_out import shown, unseen_gates
 from eha_monitor.mismatch.show.model import robust
 from eha_monitor.physics import signals as s
 from eha_monitor.physics.contributions import ALL_NAMES, slot_of
@@ -90,9 +85,7 @@ def validated_term(experiment: Experiment, unseen: Experiment, naming: Naming
                    ) -> ValidatedTerm | None:
     """Learn what has no name; None where no model of it holds on data that no fit has seen.
 
-    Parameters
-    ----------
-    unseen : with held-out samples, or another recording of the rig.
+    ``unseen`` : with held-out samples, or another recording of the rig.
     """
     learned = learned_of(experiment, naming)
     if learned is None:
@@ -100,7 +93,7 @@ def validated_term(experiment: Experiment, unseen: Experiment, naming: Naming
     judged = shown(unseen, learned.without, learned.fit)
     share, signals = removed(judged), shown(unseen, naming.before, learned.fit)
     policy = experiment.policy
-    if not share >= policy.likely or worse(judged, policy) or worse(signals, policy):
+    if not share >= policy.likely or unseen_gates(judged, policy) or unseen_gates(signals, policy):
         return None
     learned = replace(learned, fit=robust(experiment, learned.fit))
     formulas = formulas_of(experiment, learned)
@@ -203,9 +196,7 @@ def signals_of(form: Form) -> tuple[str, ...]:
 def statement_of(form: Form, formula: str, size: str) -> str:
     """Return what a learned term is, in words.
 
-    Parameters
-    ----------
-    formula : "" where none says as much as its curve; ``size`` at its largest.
+    ``formula`` : "" where none says as much as its curve; ``size`` at its largest.
     """
     law = f", {formula}" if formula else (
         f" that is a function of {SHOWN.get(form.of, form.of)}{ACTS[form.times]}")
@@ -265,10 +256,6 @@ class Tested:
     def probability(self) -> float:
         """Probability that it is there, against the best model without it."""
         return float(1.0 / (1.0 + np.exp(-np.clip(self.temper * self.gained, -600.0, 600.0))))
-
-    def entry(self) -> dict:
-        """Return it as an entry of a config's ``effects``."""
-        return self.hypothesis.entry(self.values)
 
 
 def tested(experiment: Experiment, naming: Naming, hypothesis: Hypothesis) -> Tested | None:
@@ -331,7 +318,7 @@ def supported(experiment: Experiment, unseen: Experiment, naming: Naming, test: 
     """Return the model with a hypothesis, if it is likely and holds on unseen data."""
     judged = shown(unseen, test.without, test.fit)
     policy = experiment.policy
-    if not test.probability > policy.likely or worse(judged, policy):
+    if not test.probability > policy.likely or unseen_gates(judged, policy):
         return None
     # What takes away a small part only, and leaves the rest without a name, is no answer.
     rest = beyond_form(experiment, naming.before, test.fit, test.fit.unknowns)
@@ -339,11 +326,12 @@ def supported(experiment: Experiment, unseen: Experiment, naming: Naming, test: 
         return None
     fit = robust(experiment, test.fit)
     signals = shown(unseen, naming.before, fit)
-    if worse(signals, policy):
+    if unseen_gates(signals, policy):
         return None
     missing = missing_of(experiment, fit, test.which, test.hypothesis.balance)
-    return ValidatedTerm(fit, signals, missing, test.gained, True, test.entry(),
-                         test.hypothesis.name, effect=effect_of(test, fit, size_of(missing)))
+    return ValidatedTerm(fit, signals, missing, test.gained, True,
+                         test.hypothesis.entry(test.values), test.hypothesis.name,
+                         effect=effect_of(test, fit, size_of(missing)))
 
 
 def effect_of(test: Tested, fit: Fit, size: str) -> NamedEffect:

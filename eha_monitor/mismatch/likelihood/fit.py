@@ -41,8 +41,7 @@ class Free:
 
     Attributes
     ----------
-    name : ``B``, ``beta_e`` or ``<effect>.<parameter>``.
-    place : its place in theta.
+    name : ``B``, ``beta_e`` or ``<effect>.<parameter>``; ``place`` its place in theta.
     lower, upper : bounds, SI.
     prior, spread : Gaussian prior in the fitted coordinate.
     log : fitted as its logarithm.
@@ -95,8 +94,7 @@ class Fit:
     ----------
     theta, active : parameters of the equations and active effects.
     free : what was fitted; ``covariance`` (k, k) in their coordinates.
-    unknowns : deviations of the unexplained force, flow and speed.
-    gains : the filter's gains.
+    unknowns : deviations of the unexplained force, flow and speed; ``gains`` of the filter.
     e : (N, c) innovations of the counted samples, SI; ``s`` (c, c) their covariance.
     log_likelihood : of the innovations plus the prior's exponent.
     named : effects of the catalogue that the fit has, in the order in which they were found;
@@ -190,9 +188,7 @@ def start_of(experiment: Experiment, stretch, w: np.ndarray) -> np.ndarray:
     A filter is given twice the noise of the pressures to begin with.  What a sensor errs by is
     far more, and their mean, which nothing but leakage and make-up changes, keeps it for long.
 
-    Parameters
-    ----------
-    w : (N_CIRCUIT,) circuit of the model: scales, offsets and drifts of the sensors.
+    ``w`` : (N_CIRCUIT,) circuit of the model: scales, offsets and drifts of the sensors.
     """
     charge = experiment.settings.rig.charge_pressure
     x, _, p1, p2, omega = stretch.first
@@ -241,9 +237,8 @@ def prior_exponent(free: Sequence[Free], theta: np.ndarray) -> float:
     return -0.5 * sum(((f.inward(theta[f.place]) - f.prior) / f.spread) ** 2 for f in free)
 
 
-def sensitivities(experiment: Experiment, theta: np.ndarray, active: np.ndarray,
-                  gains: np.ndarray, e: np.ndarray, moved: Iterable[tuple[np.ndarray, float]]
-                  ) -> list[np.ndarray]:
+def sensitivities(experiment: Experiment, active: np.ndarray, gains: np.ndarray, e: np.ndarray,
+                  moved: Iterable[tuple[np.ndarray, float]]) -> list[np.ndarray]:
     """Return (e(theta') - e) / step for each (theta', step), on all cores, (N, c) each."""
     def one(item):
         other, step = item

@@ -164,12 +164,9 @@ def power_of(a: np.ndarray, exponent: float) -> np.ndarray:
 
 def gains_of(experiment: Experiment, theta: np.ndarray, active: np.ndarray,
              unknowns: Unknowns) -> np.ndarray:
-    """Return the filter's gains, (m, N_FILTERED, N_OUTPUTS); the last serves from there on.
+    """Return the gains of a filter linearised at a model, (m, N_FILTERED, N_OUTPUTS).
 
-    Parameters
-    ----------
-    theta, active : parameters and effects at which the plant is linearised.
-    unknowns : deviations of the unknown force, flow and speed.
+    The last serves from there on.
     """
     m = linear_of(experiment, theta, active, unknowns)
     longest = max(len(stretch) for stretch in experiment.stretches)
@@ -185,5 +182,4 @@ def expected_covariance(experiment: Experiment, theta: np.ndarray, active: np.nd
     By R = (1 - H K) S, of the used channels.
     """
     m, used = linear_of(experiment, theta, active, unknowns), experiment.columns
-    return np.linalg.solve(np.eye(len(used)) - m.h[used] @ gains[-1][:, used],
-                           np.diag(m.r[used]))
+    return np.linalg.solve(np.eye(len(used)) - m.h[used] @ gains[-1][:, used], np.diag(m.r[used]))

@@ -187,9 +187,7 @@ class Traces:
         Friction that reverses within an integration step magnifies the last bit of a sum by many
         powers of ten: what is then divided by a step is no slope, and predicts nothing.
 
-        Parameters
-        ----------
-        slopes : of the fit's parameters, at the fit.
+        ``slopes`` : of the fit's parameters, at the fit.
         """
         theta = self.fit.theta + 0.5 * sum(slope.model[0] - self.fit.theta for slope in slopes)
         half = Slope("half of all", (theta, self.fit.active))
@@ -215,21 +213,13 @@ def products(rows: Sequence[np.ndarray]) -> np.ndarray:
     return found
 
 
-def speeds(experiment: Experiment, fit: Fit) -> list[np.ndarray]:
-    """Return the speed of the model along each stretch, running free; (n,) m/s."""
-    found = []
-    for stretch in experiment.stretches:
-        x = free_run(experiment, stretch, fit)[:, 0]
-        found.append(np.gradient(x, experiment.dt))
-    return found
-
-
 def steady(experiment: Experiment, fit: Fit) -> np.ndarray:
     """Tell which counted samples lie on plateaus of the speed, (N,) bool."""
     from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
     span = 2 * max(1, round(STEADY_SPAN / experiment.dt)) + 1
-    found = speeds(experiment, fit)
+    found = [np.gradient(free_run(experiment, stretch, fit)[:, 0], experiment.dt)
+             for stretch in experiment.stretches]  # speeds of the model, running free
     largest = max((float(np.quantile(np.abs(v), 0.99)) for v in found), default=0.0)
     return np.concatenate([
         (maximum_filter1d(v, span) - minimum_filter1d(v, span)

@@ -301,8 +301,7 @@ def riccati(a, h, q, r, p, used, gains):
         change = 0.0
         for i in range(states):
             for j in range(m):
-                change = max(change, abs(gain[i, j] - old[i, j])
-                             / (1e-3 * size + abs(gain[i, j])))
+                change = max(change, abs(gain[i, j] - old[i, j]) / (1e-3 * size + abs(gain[i, j])))
         old = gain
         if change < 1e-6 and k > 50:
             return k + 1

@@ -50,11 +50,6 @@ def directions(free: Sequence[Free], theta: np.ndarray, active: np.ndarray
     """Return the invariant directions of a fit, none to two: place in theta -> exponent.
 
     A direction needs all numbers that it moves among the fitted ones, unless they are nil.
-
-    Parameters
-    ----------
-    free : fitted parameters.
-    theta, active : (N_THETA,) and (N_EFFECTS,) of the model.
     """
     if active[len(NAMES) : N_EFFECTS].any():  # a term of the rig's own has laws of its own
         return []

@@ -115,27 +115,22 @@ def rival_innovations(e, columns, drive, a, h, gains, out):
             d[i] = other[i]
 
 
-def larger_model(m: Linear, used: np.ndarray, dt: float,
-                 rivals: tuple[tuple[Rival, float, float], ...]
-                 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return A, H and gains of the null model with some (rival, deviation, lasting) in it."""
-    n = N_FILTERED + sum(rival.state < 0 for rival, _, _ in rivals)
+def larger_model(m: Linear, used: np.ndarray, dt: float, rival: Rival, deviation: float,
+                 lasting: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return A, H and gains of the null model with a rival in it that lasts for so many s."""
+    i = rival.state if rival.state >= 0 else N_FILTERED
+    n = max(N_FILTERED, i + 1)
     a, h = np.zeros((n, n)), np.zeros((len(m.r), n))
     q, start = np.zeros(n), np.zeros(n)
     a[:N_FILTERED, :N_FILTERED], h[:, :N_FILTERED] = m.a, m.h
     q[:N_FILTERED], start[:N_FILTERED] = m.q, m.start
-    place = N_FILTERED
-    for rival, deviation, lasting in rivals:
-        i = rival.state
-        if i < 0:
-            i, place = place, place + 1
-        for output, weight in rival.outputs:
-            h[output, i] = weight
-        for state, weight in rival.inputs:
-            a[state, i] = weight
-        a[i, i] = np.exp(-dt / lasting)
-        start[i] = deviation**2
-        q[i] = deviation**2 * (1.0 - a[i, i] ** 2)
+    for output, weight in rival.outputs:
+        h[output, i] = weight
+    for state, weight in rival.inputs:
+        a[state, i] = weight
+    a[i, i] = np.exp(-dt / lasting)
+    start[i] = deviation**2
+    q[i] = deviation**2 * (1.0 - a[i, i] ** 2)
     gains = np.zeros((STANDING, n, len(m.r)))
     count = riccati(a, h, q, m.r, np.diag(start), used, gains)
     return a, h, gains[:count]
@@ -202,8 +197,8 @@ def likelihood(experiment: Experiment, base: Base, rival: Rival, size: float, la
     refit : B and beta_e take one Gauss-Newton step to where the rival wants them: the filter is
         linear in the innovations, and in what a change of a parameter adds to them.
     """
-    a, h, gains = larger_model(base.linear, experiment.used, experiment.dt,
-                               ((rival, size * rival.smallest, lasting),))
+    a, h, gains = larger_model(base.linear, experiment.used, experiment.dt, rival,
+                               size * rival.smallest, lasting)
     columns = experiment.columns
 
     def passed(parts: list[np.ndarray]) -> np.ndarray:
@@ -266,8 +261,7 @@ def latent_gains(experiment: Experiment, fit: Fit) -> dict[str, tuple[Rival, flo
 def gains_from(experiment: Experiment, base: Base) -> list[tuple[Rival, float]]:
     """Return the rivals with the best likelihood that each reaches from one base."""
     def first(rival: Rival) -> tuple[float, float]:
-        return max((likelihood(experiment, base, rival, size, LASTING[0]), size)
-                   for size in SIZES)
+        return max((likelihood(experiment, base, rival, size, LASTING[0]), size) for size in SIZES)
 
     def further(task: tuple[Rival, float, float]) -> float:
         rival, reached, start = task
@@ -298,7 +292,7 @@ def gains_from(experiment: Experiment, base: Base) -> list[tuple[Rival, float]]:
 
 def shares_of(gains: dict[str, tuple[Rival, float]]) -> tuple[dict[str, float], float, list[int]]:
     """Return shares of force, flow, drive and sensor, the best gain, and the sensors suspected."""
-    shares = dict.fromkeys(("force", "flow", "drive", "sensor"), 0.0)
+    shares = dict.fromkeys(BALANCES, 0.0)
     gains = {name: gain for name, gain in gains.items() if np.isfinite(gain[1])}
     best = max((value for _, value in gains.values()), default=0.0)
     if best <= 0.0:
@@ -319,12 +313,8 @@ LEARNED = "learned."  # before the balance of a term that was learned
 
 def latent_curves(experiment: Experiment, terms: Sequence[Missing]) -> tuple[Curve, ...]:
     """Return missing terms against time, velocity, position, pressure difference and speed."""
-    return tuple(curve for term in terms for curve in curves_of(experiment, term))
-
-
-def curves_of(experiment: Experiment, term: Missing) -> list[Curve]:
-    """Bin a missing term against everything that it may hang on."""
-    return places.curves_of(term.balance, term.unit, parts_of(experiment, term))
+    return tuple(curve for term in terms for curve in places.curves_of(
+        term.balance, term.unit, parts_of(experiment, term)))
 
 
 def parts_of(experiment: Experiment, term: Missing) -> list[places.Part]:
@@ -340,15 +330,7 @@ def parts_of(experiment: Experiment, term: Missing) -> list[places.Part]:
             experiment.stretches, term.tracks, term.measured, modelled, strict=True)]
 
 
-def located(experiment: Experiment, shares: dict[str, float], term: Missing) -> Location:
-    """Return where a missing term is worst, beside the shares of the balances."""
-    parts = parts_of(experiment, term)
-    regime, weight = places.regime_of(term.balance, parts)
-    return Location(shares, regime, places.worst_intervals(parts, weight) if regime != "always"
-                    else whole_of(experiment))
-
-
-def location_of(experiment: Experiment, before: Fit, after: Fit | None,
+def location_of(experiment: Experiment, before: Fit, after: Fit,
                 named: Mapping[str, float], terms: Sequence[Missing] | None = None) -> Location:
     """Say where model and recording disagree.
 
@@ -362,11 +344,9 @@ def location_of(experiment: Experiment, before: Fit, after: Fit | None,
     for name, gain in named.items():
         weights[balance_of(name)] += max(float(gain), 0.0)
     known, outputs = sum(weights.values()), []
-    last = before if after is None else after
     small = limits_of(experiment)[0].as_array()
-    if not known or (last.unknowns.as_array() > LEFT * small).any():
-        gains = latent_gains(experiment, last)
-        shares, best, outputs = shares_of(gains)
+    if not known or (after.unknowns.as_array() > LEFT * small).any():
+        shares, best, outputs = shares_of(latent_gains(experiment, after))
         if not known or best > 0.1 * known:
             for balance, share in shares.items():
                 weights[balance] += share * best
@@ -380,12 +360,15 @@ def location_of(experiment: Experiment, before: Fit, after: Fit | None,
         mine = [term for term in missing_terms(experiment, before, after)
                 if term.balance == balance]
     if not mine and balance in UNITS:
-        mine = [needed(experiment, last, balance)]
+        mine = [needed(experiment, after, balance)]
     elif not mine:
-        mine = sensor_errors(experiment, last, balance, outputs)
-    if not mine:
-        return Location(shares, "always", whole_of(experiment))
-    return located(experiment, shares, mine[-1])
+        mine = sensor_errors(experiment, after, balance, outputs)
+    regime = "always"
+    if mine:
+        parts = parts_of(experiment, mine[-1])
+        regime, weight = places.regime_of(balance, parts)
+    return Location(shares, regime, places.worst_intervals(parts, weight) if regime != "always"
+                    else whole_of(experiment))
 
 
 def balance_of(name: str) -> str:

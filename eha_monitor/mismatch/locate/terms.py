@@ -4,6 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from eha_monitor.estimation.sensors import PRESSURE_ERRORS
 from eha_monitor.mismatch.data.experiment import Experiment, Stretch, smooth
 from eha_monitor.mismatch.likelihood.along import (
     contributed,
@@ -113,15 +114,10 @@ def modelled_speed(experiment: Experiment, base: Fit, fit: Fit, stretch: Stretch
 def erring_outputs(base: Fit, fit: Fit) -> tuple[int, ...]:
     """Return the outputs whose sensors err in ``fit`` and not in ``base``."""
     change = circuit_of(fit.theta, fit.active) != circuit_of(base.theta, base.active)
-    either = bool(change[s.PRESSURE_DELAY])
-    found = []
-    if change[[s.POSITION_DELAY, s.POSITION_SCALE, s.PLAY]].any():
-        found.append(0)
-    if either or change[[s.PRESSURE_SCALE_1, s.PRESSURE_OFFSET_1, s.PRESSURE_DRIFT_1]].any():
-        found.append(2)
-    if either or change[[s.PRESSURE_SCALE_2, s.PRESSURE_OFFSET_2, s.PRESSURE_DRIFT_2]].any():
-        found.append(3)
-    return tuple(found)
+    of = {0: (s.POSITION_DELAY, s.POSITION_SCALE, s.PLAY),
+          2: (s.PRESSURE_DELAY, *PRESSURE_ERRORS["p1"]),
+          3: (s.PRESSURE_DELAY, *PRESSURE_ERRORS["p2"])}
+    return tuple(output for output, errors in of.items() if change[[*errors]].any())
 
 
 def modelled_error(fit: Fit, trajectory: np.ndarray, output: int) -> np.ndarray:
@@ -134,10 +130,8 @@ def modelled_error(fit: Fit, trajectory: np.ndarray, output: int) -> np.ndarray:
         if w[s.PLAY] > 0.0:
             late = played(late, w[s.PLAY])
         return shown_position.py_func(late, w) - true
-    scale, offset, drift, place = (
-        (s.PRESSURE_SCALE_1, s.PRESSURE_OFFSET_1, s.PRESSURE_DRIFT_1, s.P1) if output == 2 else
-        (s.PRESSURE_SCALE_2, s.PRESSURE_OFFSET_2, s.PRESSURE_DRIFT_2, s.P2))
-    true = trajectory[:, place]
+    scale, offset, drift = PRESSURE_ERRORS["p1" if output == 2 else "p2"]
+    true = trajectory[:, SENSORS[output]]
     late = np.interp(time - w[s.PRESSURE_DELAY], time, true)
     return (1.0 + w[scale]) * late + w[offset] + w[drift] * time - true
 
@@ -159,7 +153,6 @@ class Missing:
     tracks : for each stretch (n, N_SIGNALS), the smoothed trajectory.
     measured : for each stretch (n,), what the record needs; NaN where it does not say.
     modelled : for each stretch (n,), what the named effects make; None where nothing is named.
-    output : place of the sensor that errs, or -1.
     """
 
     balance: str
@@ -167,12 +160,6 @@ class Missing:
     tracks: tuple[np.ndarray, ...]
     measured: tuple[np.ndarray, ...]
     modelled: tuple[np.ndarray, ...] | None = None
-    output: int = -1
-
-    @property
-    def best(self) -> tuple[np.ndarray, ...]:
-        """The modelled term, which has no noise, or else the measured one."""
-        return self.measured if self.modelled is None else self.modelled
 
 
 def missing_terms(experiment: Experiment, before: Fit, after: Fit | None) -> list[Missing]:
@@ -302,4 +289,4 @@ def sensor_errors(experiment: Experiment, base: Fit, balance: str, outputs: list
         tuple(stretch.z[:, output] - track[:, SENSORS[output]]
               for stretch, track in zip(experiment.stretches, tracks, strict=True)),
         None if after is None else tuple(modelled_error(after, track, output)
-                                         for track in tracks), output) for output in outputs]
+                                         for track in tracks)) for output in outputs]

@@ -19,7 +19,7 @@ import numpy as np
 
 from eha_monitor import ties
 from eha_monitor.mismatch.data.experiment import SHORTEST, Experiment, Stretch
-from eha_monitor.mismatch.data.stretch import cut, most_informative
+from eha_monitor.mismatch.data.inputs import cut, most_informative
 from eha_monitor.mismatch.likelihood.fit import Fit, spread, with_unknowns
 from eha_monitor.mismatch.name.columns import columns_at
 from eha_monitor.mismatch.name.gram import grams_of
@@ -36,9 +36,7 @@ MOST = 24_000  # samples that effects are named on
 def informative(experiment: Experiment, most: int = MOST, window: int = WINDOW) -> Experiment:
     """Return an experiment with the most informative windows; itself where it is short.
 
-    Parameters
-    ----------
-    most : samples that are kept; ``window`` samples in each window.
+    ``most`` : samples that are kept; ``window`` samples in each window.
     """
     if experiment.n <= most:
         return experiment
@@ -138,9 +136,7 @@ def with_effects(experiment: Experiment, fit: Fit, effects: Mapping[str, Mapping
                  ) -> Fit:
     """Return a fit with the effects that it has not yet entered where they stand, not refitted.
 
-    Parameters
-    ----------
-    effects : name -> parameters, SI, as in the config's section.
+    ``effects`` : name -> parameters, SI, as in the config's section.
     """
     for name, values in effects.items():
         if possible(name, experiment) and name not in fit.named:

@@ -75,11 +75,6 @@ class Candidate:
         return self.kin | frozenset(name for name, entry in CATALOGUE.items() if name != self.name
                                     and self.effect and self.effect.family == entry.mimics != "")
 
-    @cached_property
-    def simple_kin(self) -> frozenset[str]:
-        """The other effects of its family that have one size."""
-        return frozenset(name for name in self.kin if len(CATALOGUE[name].sizes) == 1)
-
 
 def candidate(name: str) -> Candidate:
     """Return the candidate of a name."""

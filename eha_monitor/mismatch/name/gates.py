@@ -67,9 +67,7 @@ def allowed_end(fit: Fit, f: Free, value: float) -> bool:
 def failures(experiment: Experiment, fit: Fit) -> list[Gate]:
     """Return the gates that members of a fitted set do not pass; empty for an answer.
 
-    Parameters
-    ----------
-    fit : the set's model, fitted to the end; ``named`` its members.
+    ``fit`` : the set's model, fitted to the end; ``named`` its members.
     """
     return [*_bounds(fit), *_members(experiment, fit), *_within(experiment, fit), *_curves(fit),
             *_signs(experiment, fit)]
@@ -216,8 +214,7 @@ def _signs(experiment: Experiment, fit: Fit) -> Iterator[Gate]:
                 found.append((flow * np.sign(dp))[np.abs(dp) > np.median(np.abs(dp))])
             return np.concatenate(found)
 
-        if _surely_negative(
-                fit, leak, laws["pressure"], experiment.policy.sure) is not None:
+        if _surely_negative(fit, leak, laws["pressure"], experiment.policy.sure) is not None:
             yield Gate("sign", laws["pressure"][-1], "the leak across the piston would flow from "
                        "the lower pressure to the higher")
 

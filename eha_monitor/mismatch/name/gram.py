@@ -169,6 +169,14 @@ def powers_at(e, missing, counted, a, h, old, new, w):
     return total
 
 
+def expected_whitener(experiment: Experiment, fit: Fit, level: Unknowns
+                      ) -> tuple[np.ndarray, np.ndarray]:
+    """Return the gains at a level, and W with W S W' = 1 of the S that they lead to expect."""
+    gains = gains_of(experiment, fit.theta, fit.active, level)
+    s = expected_covariance(experiment, fit.theta, fit.active, level, gains)
+    return gains, np.linalg.inv(np.linalg.cholesky(0.5 * (s + s.T)))
+
+
 def evidences_at(experiment: Experiment, fit: Fit, present: list[np.ndarray],
                  levels: Sequence[Unknowns]) -> np.ndarray:
     """Return the likelihood of innovations (n, c) at other levels, with the expected S, (L,).
@@ -179,12 +187,11 @@ def evidences_at(experiment: Experiment, fit: Fit, present: list[np.ndarray],
     found, able, gains, whitening = np.full(len(levels), -np.inf), [], [], []
     for i, level in enumerate(levels):
         try:
-            one = gains_of(experiment, fit.theta, fit.active, level)
-            s = expected_covariance(experiment, fit.theta, fit.active, level, one)
-            whitening.append(np.linalg.inv(np.linalg.cholesky(0.5 * (s + s.T))))
+            one, w = expected_whitener(experiment, fit, level)
         except np.linalg.LinAlgError:
             continue
         able.append(i)
+        whitening.append(w)
         gains.append(one[:, :, used])
     if not able:
         return found
@@ -237,9 +244,7 @@ def grams_of(experiment: Experiment, fit: Fit, columns: list[np.ndarray],
     def one(level: Unknowns) -> Gram | None:
         linear = linear_of(experiment, fit.theta, fit.active, level)
         try:
-            gains = gains_of(experiment, fit.theta, fit.active, level)
-            s = expected_covariance(experiment, fit.theta, fit.active, level, gains)
-            w = np.linalg.inv(np.linalg.cholesky(0.5 * (s + s.T)))
+            gains, w = expected_whitener(experiment, fit, level)
         except np.linalg.LinAlgError:
             return None
         products, counts = np.zeros((m, m)), np.zeros(len(used))

@@ -11,18 +11,15 @@ from eha_monitor.mismatch.diagnosis import INTERMITTENT, Gate, Piece
 from eha_monitor.mismatch.likelihood.fit import Fit, with_unknowns
 from eha_monitor.mismatch.likelihood.gains import Unknowns
 from eha_monitor.mismatch.name.candidates import RIG, all_named, candidate
-from eha_monitor.mismatch.name.columns import runs_of
+from eha_monitor.mismatch.name.columns import loads_of, runs_of
 from eha_monitor.mismatch.name.gram import evidences_at
 from eha_monitor.mismatch.name.nominal import lack_of, lacks
-from eha_monitor.mismatch.name.posterior import plainness, posterior, refused_evidence
+from eha_monitor.mismatch.name.posterior import Names, plainness, posterior, refused_evidence
 from eha_monitor.mismatch.name.refit import settled
 from eha_monitor.mismatch.name.select import Search, Selection, finished
 from eha_monitor.mismatch.name.starts import limits_of
-from eha_monitor.mismatch.name.unnamed import loads_of
 from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.progress import Report, silent
-
-Names = frozenset[str]
 
 
 @dataclass(frozen=True)

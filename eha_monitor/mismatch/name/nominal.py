@@ -18,8 +18,7 @@ from eha_monitor.mismatch.likelihood.fit import (
     with_unknowns,
 )
 from eha_monitor.mismatch.name.columns import rig_free
-from eha_monitor.mismatch.name.polish import Slopes, polished
-from eha_monitor.mismatch.name.refit import FIRST, at_level, settled, unfitted
+from eha_monitor.mismatch.name.refit import FIRST, Slopes, at_level, polished, settled, unfitted
 from eha_monitor.mismatch.name.starts import expected_likelihood, limits_of, needs
 from eha_monitor.physics import signals as of
 from eha_monitor.physics.signals import BETA_E, B
@@ -32,9 +31,7 @@ BENT = 0.2  # of the logarithm of B or beta_e
 def nominal_model(experiment: Experiment, within: bool = False) -> Fit:
     """Fit the nominal model, first with unknowns so large that it cannot run away.
 
-    Parameters
-    ----------
-    within : with the rig's numbers free within their tolerances.  Where only B and beta_e may
+    ``within`` : with the rig's numbers free within their tolerances.  Where only B and beta_e may
         give, they make up for all that the config has a little wrong, and go where nothing is
         linear.
     """
@@ -130,7 +127,7 @@ def jagged(experiment: Experiment, fit: Fit) -> bool:
     if f is None or experiment.log_step == JAGGED or not np.isfinite(fit.log_likelihood):
         return False
     small, large = (np.nan_to_num(slope) @ whitener(fit.s).T for slope in sensitivities(
-        experiment, fit.theta, fit.active, fit.gains, innovations(
+        experiment, fit.active, fit.gains, innovations(
             experiment, fit.theta, fit.active, fit.gains),
         [step_of(f, fit.theta, step) for step in (SMOOTH, JAGGED)]))
     return bool(np.linalg.norm(small - large) > np.linalg.norm(large))

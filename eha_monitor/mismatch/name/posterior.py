@@ -49,7 +49,7 @@ class Refits:
 
     def add(self, experiment: Experiment, names: Names, fit: Fit, anyway: bool = False) -> None:
         """Keep a fit of a set, if it is one and better than what is there, or ``anyway``."""
-        value = evidence_of(experiment, fit) if np.isfinite(fit.log_likelihood) else -np.inf
+        value = evidence_of(fit) if np.isfinite(fit.log_likelihood) else -np.inf
         if not np.isfinite(value):
             return
         if names and (impossible(fit, self.policy.sure) or too_small(experiment, fit)):
@@ -63,9 +63,7 @@ class Refits:
     def known(self, names: Names, here: Names, promised: float = -np.inf) -> bool:
         """Tell whether a set was looked at from the model at hand, or refitted from elsewhere.
 
-        Parameters
-        ----------
-        promised : evidence by the linear guess from the model at hand: what was fitted from
+        ``promised`` : evidence by the linear guess from the model at hand: what was fitted from
             elsewhere and would be better from here is not known yet.
         """
         station = self.stations.get(names, (None, -np.inf))[1]
@@ -135,8 +133,7 @@ class Refits:
         """Return the plainest of the best sets, of those that no gate has refused."""
         scores = {names: score for names, score in self.scores().items()
                   if names not in self.refused}
-        return ties.best(scores, scores.get, plainness,
-                         self.policy.temper * ties.SAME_FIT)
+        return ties.best(scores, scores.get, plainness, self.policy.temper * ties.SAME_FIT)
 
     def ahead(self, done: dict[Names, float], enough: float) -> tuple[Names, Fit] | None:
         """Return the model where the search goes on; None where it has been everywhere.
@@ -145,9 +142,7 @@ class Refits:
         something more than those that were linearised before; and at last the one with the highest
         score.
 
-        Parameters
-        ----------
-        done : names -> evidence with which a model was linearised before; one that has gained
+        ``done`` : names -> evidence with which a model was linearised before; one that has gained
             ``enough`` since is linearised again.
         """
         best = self.best()

@@ -11,7 +11,6 @@ from eha_monitor.mismatch.likelihood.gains import Unknowns
 from eha_monitor.mismatch.name.candidates import all_named, candidate
 from eha_monitor.mismatch.name.columns import Column, Columns, columns_at
 from eha_monitor.mismatch.name.gram import grams_of
-from eha_monitor.mismatch.name.polish import Slopes
 from eha_monitor.mismatch.name.posterior import (
     Names,
     Refits,
@@ -22,6 +21,7 @@ from eha_monitor.mismatch.name.posterior import (
     posterior,
 )
 from eha_monitor.mismatch.name.rank import LARGEST_SET, Ranked, best_first, best_over, ranked_at
+from eha_monitor.mismatch.name.refit import Slopes
 from eha_monitor.mismatch.name.starts import limits_of
 from eha_monitor.physics.effects import CATALOGUE
 
@@ -69,11 +69,6 @@ class Linearised:
         return own_in(self.ranking, self.here)
 
 
-def linearised(experiment: Experiment, here: Names, fit: Fit) -> Linearised:
-    """Take the columns at a model and rank every set of suspects with a name there."""
-    return weighed(experiment, here, fit, columns_at(experiment, fit, unnamed=False))
-
-
 def beside(experiment: Experiment, here: Names, fit: Fit) -> Linearised:
     """Rank what has no name beside each part of a model.
 
@@ -99,9 +94,7 @@ def beyond_one_law(found: list[Ranked], here: Names, form: float) -> list[Ranked
     What one law has wrong another takes up: see :meth:`Refits.scores`.  The model at hand stays as
     it is, since all others are measured from it.
 
-    Parameters
-    ----------
-    form : share of what a law explains that may be its form error.
+    ``form`` : share of what a law explains that may be its form error.
     """
     known: dict[Names, float] = {}
     for one in found:
@@ -199,8 +192,9 @@ def proposals_of(found: list[Ranked], model: Ranked | None, refits: Refits,
     able = [one for one in better if one.evidence >= enough]
     size = min(len(one.names) for one in able)
     chosen: list[Ranked] = []
-    for one in sorted(best_first(one for one in able if len(one.names) == size),
-                      key=containing):
+    # What is contained comes before what contains it.
+    for one in sorted(best_first(one for one in able if len(one.names) == size), key=lambda one: (
+            sum(len(CATALOGUE[name].contains) for name in one.names if name in CATALOGUE))):
         if not any(contained(other, one, here) for other in chosen):
             chosen.append(one)
     chosen = best_first(chosen)
@@ -225,11 +219,6 @@ def promised(refits: Refits, here: Names, model: Ranked | None, one: Ranked) -> 
         return -np.inf
     return evidence_at_start(refits, here) + (one.evidence - one.prior) - (
         model.evidence - model.prior)
-
-
-def containing(one: Ranked) -> int:
-    """Return the key that puts what is contained before what contains it."""
-    return sum(len(CATALOGUE[name].contains) for name in one.names if name in CATALOGUE)
 
 
 def contained(simple: Ranked, other: Ranked, here: Names) -> bool:

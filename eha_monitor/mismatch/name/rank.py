@@ -135,14 +135,11 @@ class Ranking:
         return [tuple(sorted((*kept, *subset))) for k in range(len(free) + 1)
                 for subset in combinations(free, k)]
 
-    def fits(self, members: tuple[Member, ...], other: Member) -> bool:
-        """Tell whether a suspect can join: one of a kind, and none that another contains."""
-        return bool(self.joining(members)[self.order[other]])
-
     def joining(self, members: tuple[Member, ...]) -> np.ndarray:
         """Return which suspects can join a set, bool, in the order of ``groups``.
 
-        What grows out of an effect of the model needs it in the set, and stands in its place.
+        One of a kind, and none that another contains.  What grows out of an effect of the model
+        needs it in the set, and stands in its place.
         """
         gone = {member.replaces for member in members if member.replaces}
         able = self.standing.copy()
@@ -314,8 +311,7 @@ class Level:
         amplitudes = dict(zip(here.tolist(), a.tolist(), strict=True))
         amplitudes |= dict(zip(reduced.free.tolist(), always.tolist(), strict=True)) | fixed
         gone = {member.replaces for member in members}
-        prior = float(sum(
-            r.log_prior(member) for member in members if member.owner not in gone))
+        prior = float(sum(r.log_prior(member) for member in members if member.owner not in gone))
         return Ranked(members, float(evidence) + prior, prior, self.gram, amplitudes)
 
     def gains(self, one: Ranked) -> list[tuple[Member, float]]:
@@ -328,8 +324,7 @@ class Level:
         r = self.ranking
         products = reduced.products
         white = np.linalg.solve(factor, products[np.ix_(1 + here, 1 + r.owned)])
-        q = (r.centre[r.owned] - left[1 + r.owned]
-             - products[np.ix_(1 + r.owned, 1 + here)] @ a)
+        q = (r.centre[r.owned] - left[1 + r.owned] - products[np.ix_(1 + r.owned, 1 + here)] @ a)
         able, gains = r.joining(one.members), []
         for columns, places in r.blocks:  # suspects with as many columns, all at once
             which = places[able[places]]
@@ -370,8 +365,7 @@ def gained_by(blocks: np.ndarray, sides: np.ndarray) -> np.ndarray:
     """Return :func:`gained` where no group is singular."""
     factor = np.linalg.cholesky(blocks)
     y = np.linalg.solve(factor, sides[:, :, None])[:, :, 0]
-    return 0.5 * (y * y).sum(axis=1) - np.log(
-        np.diagonal(factor, axis1=1, axis2=2)).sum(axis=1)
+    return 0.5 * (y * y).sum(axis=1) - np.log(np.diagonal(factor, axis1=1, axis2=2)).sum(axis=1)
 
 
 def ranked_at(what: tuple[Column, ...], named: tuple[str, ...], grams: list[Gram],
@@ -386,8 +380,7 @@ def best_over(levels: list[list[Ranked]]) -> list[Ranked]:
     best: dict[tuple[Member, ...], Ranked] = {}
     for found in levels:
         for one in found:
-            if (one.members not in best
-                    or one.evidence > best[one.members].evidence + ties.GUESS):
+            if (one.members not in best or one.evidence > best[one.members].evidence + ties.GUESS):
                 best[one.members] = one
     return best_first(best.values())
 

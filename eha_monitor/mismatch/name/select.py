@@ -9,9 +9,16 @@ from eha_monitor import ties
 from eha_monitor.mismatch.data.experiment import Experiment
 from eha_monitor.mismatch.likelihood.fit import Fit, spread, with_unknowns
 from eha_monitor.mismatch.name.before import FirstView, informative
-from eha_monitor.mismatch.name.columns import FAR_OFF, LOOSE, rig_free
-from eha_monitor.mismatch.name.finalists import FINALISTS, caught_up, finish, gated, within_reach
-from eha_monitor.mismatch.name.neighbours import CLOSE, without
+from eha_monitor.mismatch.name.columns import FAR_OFF, LOOSE, columns_at, rig_free
+from eha_monitor.mismatch.name.finalists import (
+    CLOSE,
+    FINALISTS,
+    caught_up,
+    finish,
+    gated,
+    within_reach,
+    without,
+)
 from eha_monitor.mismatch.name.nominal import (
     bent,
     from_config,
@@ -31,13 +38,7 @@ from eha_monitor.mismatch.name.posterior import (
     evidence_at_start,
     plainness,
 )
-from eha_monitor.mismatch.name.proposals import (
-    Linearised,
-    beside,
-    chosen_at,
-    linearised,
-    rivals_at,
-)
+from eha_monitor.mismatch.name.proposals import Linearised, beside, chosen_at, rivals_at, weighed
 from eha_monitor.mismatch.name.rank import Ranked
 from eha_monitor.mismatch.name.refit import (
     entered_at_best,
@@ -59,7 +60,6 @@ GAINED = 0.1  # of what a model lacks, that another round of a search must remov
 ENOUGH = 4e8
 SKETCH, SKETCH_WINDOW = 8_000, 2_000  # samples that a search begins on, in windows
 
-
 Elsewhere = Callable[[Fit], bool]
 
 
@@ -77,8 +77,7 @@ class Selection:
     Attributes
     ----------
     experiment : with integration steps that resolve the damping that was found.
-    nominal : the model without effects.
-    refits : every refitted set.
+    nominal, refits : the model without effects; every refitted set.
     view : sets with names by the linear guess from the best model, if the search came there;
         ``beside`` what has no name, beside parts of the best.
     """
@@ -157,11 +156,6 @@ class Search:
         refits.add(experiment, frozenset(), nominal)
         return cls(experiment, nominal, refits, manner, sketch, bare, ended=sketch)
 
-    def after_round(self) -> bool:
-        """Note what the best model lacks now; tell whether the last round took nothing of it."""
-        before, self.lack = self.lack, lack_of(self.experiment, self.found)
-        return self.lack > (1.0 - GAINED) * before and lacks(self.experiment, self.found)
-
     def leave(self) -> None:
         """Ask once, where the best model lacks a log unit a sample, whether to go elsewhere.
 
@@ -176,11 +170,6 @@ class Search:
         self.asked = True
         if self.manner.elsewhere(self.found):
             raise Unfollowed
-
-    @property
-    def out_of_time(self) -> bool:
-        """Tell whether it may end without an answer, and has had its time."""
-        return self.manner.may_end and self.experiment.work.steps > ENOUGH
 
     @property
     def found(self) -> Fit:
@@ -254,20 +243,6 @@ def refit(experiment: Experiment, view: Linearised, chosen: list[Ranked], refits
                         if all(made is not one for one in going))
     for made in spread(lambda made: settled(experiment, made, view.slopes), going):
         refits.add(experiment, frozenset(made.named), made)
-
-
-def held(experiment: Experiment, view: Linearised, refits: Refits) -> None:
-    """Fit a model again under the unknowns that suit it best, from its own linear guess."""
-    if view.own is not None:
-        refits.add(experiment, view.here, settled(
-            experiment, entered_at_best(experiment, view.fit, view.what, view.own), view.slopes))
-
-
-def strayed(view: Linearised, refits: Refits) -> bool:
-    """Tell whether a model is far from the optimum that a guess from itself promises."""
-    own = view.own
-    return own is not None and (
-        own.evidence - own.prior > evidence_at_start(refits, view.here) + STRAYED)
 
 
 def begun(experiment: Experiment, say: Report = silent, manner: Manner = PLAINLY,
@@ -354,15 +329,20 @@ def explored(search: Search, say: Report) -> Search:
             break
         say(f"weighing all sets, round {turn + 1}", 0.1 + 0.1 * turn)
         here, fit = place
-        view = linearised(experiment, here, fit)
+        view = weighed(experiment, here, fit, columns_at(experiment, fit, unnamed=False))
+        own = view.own
         if fit is refits.fits.get(here):
             search.views[here] = replace(view, slopes=None)
         done[here] = evidence_at_start(refits, here)
-        if strayed(view, refits) and (here or not chosen_at(view, refits)):
-            held(experiment, view, refits)
+        # Far from the optimum that the guess from itself promises, a model is fitted again under
+        # the unknowns that suit it best.
+        if own is not None and own.evidence - own.prior > done[here] + STRAYED and (
+                here or not chosen_at(view, refits)):
+            refits.add(experiment, here, settled(experiment, entered_at_best(
+                experiment, fit, view.what, own), view.slopes))
             if evidence_at_start(refits, here) > done[here] + STRAYED:
                 continue
-        if view.own is None:  # a part of it has vanished: nothing in the ranking compares to it
+        if own is None:  # a part of it has vanished: nothing in the ranking compares to it
             without(experiment, refits, here)
             continue
         for _ in range(LOOKS if search.widely else 1):
@@ -386,14 +366,16 @@ def next_place(search: Search, turn: int) -> tuple[Names, Fit] | None:
     Unfollowed
         If it may end so, and there is no other place or no time left.
     """
-    if search.out_of_time:
+    experiment = search.experiment
+    if search.manner.may_end and experiment.work.steps > ENOUGH:
         raise Unfollowed
-    nothing = search.after_round()
+    before, search.lack = search.lack, lack_of(experiment, search.found)
+    nothing = search.lack > (1.0 - GAINED) * before and lacks(experiment, search.found)
     if nothing and search.manner.close:
         start = unbent(search) if turn == 1 else None
         search.vain = start is None and not search.refits.best()
         return None if start is None else (frozenset(), start)
-    if nothing and search.manner.may_end and search.lack > search.experiment.policy.lacking:
+    if nothing and search.manner.may_end and search.lack > experiment.policy.lacking:
         other = None if search.far else far_off(search)
         if other is None:
             raise Unfollowed
@@ -404,7 +386,7 @@ def next_place(search: Search, turn: int) -> tuple[Names, Fit] | None:
         search.look_at_first_view()
         at = search.refits.ahead(search.done, STRAYED)
     if at is None and not search.ended:
-        finish(search.experiment, search.refits)
+        finish(experiment, search.refits)
         search.ended = True
         at = search.refits.ahead(search.done, STRAYED)
     wider = search.widely and not search.manner.close
@@ -424,7 +406,7 @@ def unbent(search: Search) -> Fit | None:
     before what was found is followed: what is linear at the config may not be so where the fit
     went.
     """
-    if not lacks(search.experiment, search.refits.fits[search.refits.best()]):
+    if not lacks(search.experiment, search.found):
         return None
     start = unfitted(search.experiment)
     return start if bent(start, search.nominal) else None
@@ -436,8 +418,8 @@ def far_off(search: Search) -> Fit | None:
     It has a number that is known to a factor far from the config's: a leakage that is a hundred
     times too large leaves nothing that is linear where it stands.
     """
-    experiment, first, refits = search.experiment, search.nominal, search.refits
-    if not lacks(experiment, refits.fits[refits.best()]):
+    experiment, first = search.experiment, search.nominal
+    if not lacks(experiment, search.found):
         return None
     found = []
     for f in rig_free(experiment):
@@ -447,5 +429,3 @@ def far_off(search: Search) -> Fit | None:
             found.append(with_unknowns(experiment, replace(first, theta=theta), first.unknowns))
     best = ties.best(found or [first], lambda fit: fit.log_likelihood, within=ties.GUESS)
     return best if best.log_likelihood > first.log_likelihood else None
-
-

@@ -16,6 +16,7 @@ from eha_monitor.physics.parameters import place_of
 
 LEAST_SHARE, LEAST_OF_MANY = 0.05, 0.3  # of its start: where a size enters at least
 LEAST_B = 1e-3  # of its prior: below, there is no viscous damping
+LARGEST = 3e4  # times the smallest unknowns; 1e4 times is what the record covers
 
 
 @dataclass(frozen=True)
@@ -24,8 +25,7 @@ class Start:
 
     Attributes
     ----------
-    effect : its name.
-    values : all parameters, a small but visible instance.
+    values : all parameters of the effect, a small but visible instance.
     replaces : named effect that it contains and takes the place of, or "".
     among : how many starts the effect has.
     policy : how wide its numbers' priors are.
@@ -75,7 +75,7 @@ def timing_free(experiment: Experiment) -> tuple[Free, ...]:
 def limits_of(experiment: Experiment) -> tuple[Unknowns, Unknowns]:
     """Return the smallest and the largest unknowns that are tried."""
     small = smallest_unknowns(experiment).as_array()
-    large = experiment.largest_unknown * small
+    large = LARGEST * small
     if experiment.mode == FORCED:
         large[1:] = small[1:]
     elif experiment.mode != CLOSED or not experiment.used[4]:
@@ -198,8 +198,7 @@ def free_parameter(start: Start, p: Parameter) -> Free:
         return Free(name, place, p.lower, p.upper, p.neutral,
                     max(spread * abs(value), 1e-3 * p.scale))
     if p.lower > 0:
-        return Free(name, place, p.lower, p.upper, float(np.log(value)), start.policy.shape,
-                    True)
+        return Free(name, place, p.lower, p.upper, float(np.log(value)), start.policy.shape, True)
     return Free(name, place, p.lower, p.upper, value, max(2.0 * p.scale, abs(value)))
 
 
@@ -233,9 +232,7 @@ def directions_of(fit: Fit, start: Start, share: float = 1.0
                   ) -> list[tuple[np.ndarray, np.ndarray]]:
     """Return (theta, active) with one size of the start at a time, or with all of its shape.
 
-    Parameters
-    ----------
-    share : of the start's sizes.
+    ``share`` : of the start's sizes.
     """
     sizes = own_sizes(start)
     if not sizes:

@@ -5,17 +5,15 @@ of B and beta_e.  Where something changed is found by the two stages, which foll
 that nothing else is missing, by the nominal model fitted to each piece for itself.
 """
 
-from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 
 from eha_monitor.estimation.pipeline import estimate
 from eha_monitor.mismatch.data.experiment import Experiment
-from eha_monitor.mismatch.data.stretch import cut
+from eha_monitor.mismatch.data.inputs import cut
 from eha_monitor.mismatch.diagnosis import HEALTH_WORDS, Piece, Value
 from eha_monitor.mismatch.likelihood.fit import (
-    Fit,
     innovations,
     log_likelihood_of,
     spread,
@@ -34,35 +32,19 @@ BEFORE_S, AFTER_S = 1.5, 0.5
 SHORTEST_S = 2.0  # of the fitted samples of a piece
 
 
-@dataclass(frozen=True)
-class Changed:
-    """The nominal model in pieces.
+def changed_between(recordings: list[Recording], naming: Naming) -> Naming | None:
+    """Return the nominal model in pieces, where they explain the data better than named physics.
 
-    Attributes
-    ----------
-    pieces : in order of time; neighbours of one recording differ in B or beta_e.
-    experiment, fit : the data of the last piece, and the nominal model fitted to them.
-    whole : the nominal model of all data.
-    """
-
-    pieces: tuple[Piece, ...]
-    experiment: Experiment
-    fit: Fit
-    whole: Fit
-
-
-def changed_between(experiment: Experiment, recordings: list[Recording], naming: Naming
-                    ) -> Changed | None:
-    """Return the pieces that explain the data better than any named physics, or None.
+    Its pieces are in order of time; neighbours of one recording differ in B or beta_e.  Data and
+    model are those of the last piece, beside the nominal model of all data.
 
     Parameters
     ----------
-    experiment : of ``recordings``, at least one; compared by a filter, not by balances.
+    recordings : at least one, compared by a filter, not by balances.
     naming : the best model of constant parameters.
     """
-    named, policy = naming.after, experiment.policy
-    parts = [part for part in (part_of(experiment, *span) for span in spans_of(
-        experiment, recordings)) if part is not None]
+    experiment, named, policy = naming.experiment, naming.after, naming.experiment.policy
+    parts = parts_of(experiment, recordings)
     if len(parts) < 2:
         return None
     fits = [needing_least(part, nominal_model(part)) for part in parts]  # each on all cores
@@ -75,29 +57,28 @@ def changed_between(experiment: Experiment, recordings: list[Recording], naming:
     if reached - constant < max(
             policy.effect / -policy.temper, policy.explained * (expected - constant)):
         return None
-    pieces = tuple(Piece(part.stretches[0].source, float(part.stretches[0].start), end_of(part),
-                         values_of(part, robust(part, fit, of_rig=False)))
-                   for part, fit in zip(parts, fits, strict=True))
-    if not any(differ(one.values, other.values, policy)
-               for one, other in pairwise(pieces)):
+    pieces = tuple(Piece(
+        part.stretches[0].source, float(part.stretches[0].start),
+        float(part.stretches[-1].start + len(part.stretches[-1]) * part.dt),
+        values_of(part, robust(part, fit, of_rig=False)))
+        for part, fit in zip(parts, fits, strict=True))
+    if not any(differ(one.values, other.values, policy) for one, other in pairwise(pieces)):
         return None
-    return Changed(pieces, parts[-1], fits[-1], with_unknowns(
-        parts[-1], naming.before, naming.before.unknowns))
+    return Naming(parts[-1], with_unknowns(parts[-1], naming.before), fits[-1],
+                  consistent=naming.unexplained, unexplained=0.0, pieces=pieces)
 
 
-def spans_of(experiment: Experiment, recordings: list[Recording]
-             ) -> list[tuple[str, float, float]]:
-    """Return (recording, from, to) between the changes that the stages saw; s."""
+def parts_of(experiment: Experiment, recordings: list[Recording]) -> list[Experiment]:
+    """Return the experiment between the changes that the stages saw, where enough is fitted."""
     found = []
     for recording in recordings:
         answer = estimate(recording, experiment.settings)
         rows = np.concatenate([answer.stage_one.changes, answer.stage_two.changes])
         at, dt = np.sort(rows[:, 0]) * recording.sample_time, recording.sample_time
-        edges = [-np.inf, *at, np.inf]
-        found += [(recording.source, start + AFTER_S, stop - BEFORE_S)
-                  for start, stop in pairwise(edges)
+        found += [part_of(experiment, recording.source, start + AFTER_S, stop - BEFORE_S)
+                  for start, stop in pairwise([-np.inf, *at, np.inf])
                   if stop - start > BEFORE_S + AFTER_S + dt]
-    return found
+    return [part for part in found if part is not None]
 
 
 def part_of(experiment: Experiment, source: str, start: float, stop: float) -> Experiment | None:
@@ -110,12 +91,6 @@ def part_of(experiment: Experiment, source: str, start: float, stop: float) -> E
             stretches.append(cut(stretch, here[0], here[-1] + 1, experiment.dt))
     fitted = sum(int(stretch.counted.sum()) for stretch in stretches) * experiment.dt
     return experiment.only(tuple(stretches)) if fitted >= SHORTEST_S else None
-
-
-def end_of(part: Experiment) -> float:
-    """Return the time at which the last stretch ends, s."""
-    last = part.stretches[-1]
-    return float(last.start + len(last) * part.dt)
 
 
 def differ(one: dict[str, Value], other: dict[str, Value], policy: SearchPolicy) -> list[str]:

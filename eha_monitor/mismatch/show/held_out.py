@@ -10,14 +10,13 @@ from eha_monitor.balances.course import STANDING
 from eha_monitor.estimation.consistency import variance_ratios
 from eha_monitor.estimation.sensors import true_position, true_pressure
 from eha_monitor.mismatch.data.experiment import Experiment
-from eha_monitor.mismatch.data.inputs import FORCED
-from eha_monitor.mismatch.data.stretch import Stretch
+from eha_monitor.mismatch.data.inputs import FORCED, Stretch
 from eha_monitor.mismatch.diagnosis import Agreement, Gate, Overlay, SignalFit, Value
 from eha_monitor.mismatch.likelihood.along import filtered_tracks, played, signals_along
 from eha_monitor.mismatch.likelihood.fit import Fit, filtered, spread
 from eha_monitor.mismatch.likelihood.innovations import N_FILTERED
 from eha_monitor.mismatch.locate.terms import modelled_force
-from eha_monitor.mismatch.name.polish import Slopes, polished
+from eha_monitor.mismatch.name.refit import Slopes, polished
 from eha_monitor.mismatch.policy import SearchPolicy
 from eha_monitor.physics import signals as s
 from eha_monitor.physics.contributions import ALL_NAMES, circuit_of
@@ -50,8 +49,7 @@ class FreeRuns:
 
     def residual(self, output: int) -> np.ndarray:
         """Return the residuals of one output, all windows joined; (k,), NaN left out."""
-        whole = [e[:, output] for e in self.e]
-        joined = np.concatenate(whole) if whole else np.zeros(0)
+        joined = np.concatenate([e[:, output] for e in self.e])
         return joined[np.isfinite(joined)]
 
 
@@ -133,13 +131,13 @@ def whiteness(experiment: Experiment, fit: Fit) -> np.ndarray:
     return found
 
 
-def shown(experiment: Experiment, before: Fit, after: Fit | None) -> dict[str, SignalFit]:
+def shown(experiment: Experiment, before: Fit, after: Fit) -> dict[str, SignalFit]:
     """Return how far both models miss what they have not seen, signal by signal.
 
     Parameters
     ----------
     experiment : with held-out samples, or another recording of the rig without.
-    after : the model with the named effects; None where there is none: then as before.
+    after : the model with the named effects; ``before`` where there are none.
 
     Returns
     -------
@@ -147,7 +145,7 @@ def shown(experiment: Experiment, before: Fit, after: Fit | None) -> dict[str, S
         ``position``, ``velocity``, ``pressure_1``, ``pressure_2``, ``pump_speed`` where measured,
         and ``force`` where the force drives the model.
     """
-    models = [before] if after is None or after is before else [before, after]
+    models = [before] if after is before else [before, after]
     runs = [free_runs(experiment, fit) for fit in models]
     white = spread(lambda fit: whiteness(experiment, fit), models)
     found = {}
@@ -166,11 +164,6 @@ def shown(experiment: Experiment, before: Fit, after: Fit | None) -> dict[str, S
         found["force"] = SignalFit("N", forces[0][0], forces[-1][0], float("nan"),
                                    signal_rms=forces[-1][1])
     return found
-
-
-def worse(signals: dict[str, SignalFit], policy: SearchPolicy) -> bool:
-    """Tell whether a model does worse on unseen data than the one before."""
-    return bool(unseen_gates(signals, policy))
 
 
 def unseen_gates(signals: dict[str, SignalFit], policy: SearchPolicy) -> tuple[Gate, ...]:
@@ -200,9 +193,7 @@ def baseline_gates(experiment: Experiment, baselines: Sequence[Baseline], after:
     On samples that the model's fit has not seen.  The least squares have, but four numbers from
     thousands of samples gain nothing by that beside the share ``worse``.
 
-    Parameters
-    ----------
-    force : what the model leaves of the force there (:func:`shown`); None where none is measured.
+    ``force`` : what the model leaves of it there (:func:`shown`); None where none is measured.
     """
     of = {one.source: one for one in baselines if one.force is not None}
     if force is None or not {stretch.source for stretch in experiment.stretches} <= of.keys():
@@ -254,9 +245,7 @@ def baseline_residual(experiment: Experiment, of: Mapping[str, Baseline], after:
     mass (errors in variables): 13.9 kg of 18.5 left 0.8 N where the true mass leaves 3.8.  So
     they have the mass of ``after``, unless that calls the config's wrong.
 
-    Parameters
-    ----------
-    of : source -> first view of that recording; its sensors err by what ``after`` says.
+    ``of`` : source -> first view of that recording; its sensors err by what ``after`` says.
     """
     named = set(after.named) & {"rig.mass", "added_mass"}
 
@@ -289,7 +278,8 @@ def force_left(experiment: Experiment, fit: Fit, modelled: Callable) -> tuple[fl
         v = np.gradient(x, dt)
         a = np.gradient(v, dt)
         both = low_pass(min(BALANCE, 0.1 / dt), dt)
-        force = both(driving_force(experiment, fit, stretch))
+        force = both(stretch.u[:, 0] if experiment.mode == FORCED else
+                     fit.theta[s.AREA_1] * stretch.p1 - fit.theta[s.AREA_2] * stretch.p2)
         moving = mask & (np.abs(v) > STANDING * np.quantile(np.abs(v), 0.998))
         residuals.append((force - both(modelled(stretch, x, v, a)))[moving])
         forces.append(force[moving])
@@ -312,20 +302,13 @@ def righted(experiment: Experiment, fit: Fit, stretch: Stretch) -> Stretch:
                    p2=true_pressure(np.interp(late, t, stretch.p2), "p2", w, t))
 
 
-def driving_force(experiment: Experiment, fit: Fit, stretch) -> np.ndarray:
-    """Return the force that drives the piston, N (n,)."""
-    if experiment.mode == FORCED:
-        return stretch.u[:, 0]
-    return fit.theta[s.AREA_1] * stretch.p1 - fit.theta[s.AREA_2] * stretch.p2
-
-
-def overlays(experiment: Experiment, before: Fit, after: Fit | None) -> tuple[Overlay, ...]:
+def overlays(experiment: Experiment, before: Fit, after: Fit) -> tuple[Overlay, ...]:
     """Return for each signal the held-out second in which the model before is worst.
 
     Both models run free in it.
     """
     run_1 = free_runs(experiment, before, OVERLAY)
-    run_2 = run_1 if after is None else free_runs(experiment, after, OVERLAY)
+    run_2 = run_1 if after is before else free_runs(experiment, after, OVERLAY)
     found = []
     for j in experiment.columns:
         errors = []
@@ -364,12 +347,12 @@ def parts_of(experiment: Experiment, tracks: list[np.ndarray]
     return found
 
 
-def agreement(experiment: Experiment, before: Fit, after: Fit | None) -> tuple[Agreement, ...]:
+def agreement(experiment: Experiment, before: Fit, after: Fit) -> tuple[Agreement, ...]:
     """Return B and beta_e from parts of the record, all else held.
 
     A model that lacks nothing finds the same in each of them.
     """
-    models = [before] if after is None or after is before else [before, after]
+    models = [before] if after is before else [before, after]
     parts = parts_of(experiment, filtered_tracks(experiment, models[-1]))
 
     def one(task: tuple[list[np.ndarray], Fit]) -> dict[str, Value]:

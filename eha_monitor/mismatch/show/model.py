@@ -55,8 +55,8 @@ def of_the_areas(experiment: Experiment) -> float:
 
     Every size of the force balance has that error, and no fit can know of it.
     """
-    made = experiment.by_pressures
-    return experiment.settings.rig.tolerance.log_spread("area_1") if made else 0.0
+    rig = experiment.settings.rig
+    return rig.tolerance.log_spread("area_1") if experiment.by_pressures else 0.0
 
 
 def fitted_of(fit: Fit) -> Fitted:
@@ -124,10 +124,8 @@ def robust(experiment: Experiment, fit: Fit, of_rig: bool = True) -> Fit:
     this and the usual H^-1 is kept for each parameter.  To it comes what numbers of the rig that
     were not fitted leave open within their tolerances.
 
-    Parameters
-    ----------
-    of_rig : also what the rig's tolerances leave open; not between parts of one rig, which have
-        its errors in common.
+    ``of_rig`` : also what the rig's tolerances leave open; not between parts of one rig, which
+        have its errors in common.
     """
     if not fit.free:
         return fit
@@ -136,7 +134,7 @@ def robust(experiment: Experiment, fit: Fit, of_rig: bool = True) -> Fit:
                           if of_rig and f not in fit.free))
     w = whitener(fit.s)
     white = np.nan_to_num(fit.e) @ w.T
-    slopes = sensitivities(experiment, fit.theta, fit.active, fit.gains, fit.e,
+    slopes = sensitivities(experiment, fit.active, fit.gains, fit.e,
                            [step_of(f, fit.theta, experiment.log_step) for f in whole])
     d = np.stack([np.nan_to_num(slope) @ w.T for slope in slopes])
     along = tangents(whole, fit.theta, directions(whole, fit.theta, fit.active))
@@ -173,8 +171,7 @@ def prior_covariance(experiment: Experiment, free: Sequence[Free]) -> np.ndarray
     both chambers alike is one number with one error: beta_e is no better known than the volume.
     """
     rig = experiment.settings.rig
-    places = {f.symbol: i for i, f in enumerate(free)
-              if f.of_rig}
+    places = {f.symbol: i for i, f in enumerate(free) if f.of_rig}
     spread = np.array([f.spread for f in free])
     known = np.diag(spread**2)
     for one, other in TWICE:

@@ -126,8 +126,7 @@ def free_everywhere(experiment: Experiment, fit: Fit, stretch: Stretch) -> dict[
     for free in (turn, ~turn):
         e, _ = filtered(experiment, stretch, fit.theta, fit.active, fit.gains, free=free)
         shown[free] = (stretch.z - e)[free]
-    return {OUTPUTS[j]: shown[:, j] for j in experiment.columns
-            if np.isfinite(shown[:, j]).any()}
+    return {OUTPUTS[j]: shown[:, j] for j in experiment.columns if np.isfinite(shown[:, j]).any()}
 
 
 def _unknowns(experiment: Experiment, bare: Fit, fit: Fit, names: tuple[str, ...]
