@@ -119,12 +119,6 @@ class Tracker:
     ----------
     unit : usual time between two recordings, s.
     scale : noise that the first differences show, in units of the way to the limit.
-
-    Attributes
-    ----------
-    certain : the odds have reached ``CERTAIN``, and have not fallen below one since: the bound
-        on false alarms holds for their largest value, so what was certain once stays so until a
-        jump (a repair) is more likely than not.
     """
 
     unit: float
@@ -132,6 +126,9 @@ class Tracker:
     bank: Bank = None
     time: float = np.nan
     count: int = 0
+    # the odds have reached ``CERTAIN``, and have not fallen below one since: the bound on false
+    # alarms holds for their largest value, so what was certain once stays so until a jump (a
+    # repair) is more likely than not
     certain: bool = False
     paths: list = field(default_factory=lambda: [()])
 
@@ -269,25 +266,18 @@ def collapsed(bank: Bank, which: np.ndarray) -> tuple[float, float, float, int]:
 
 @dataclass(frozen=True)
 class Forecast:
-    """When a value reaches its limit.
+    """When a value reaches its limit."""
 
-    Attributes
-    ----------
-    status : ``told``, ``beyond`` (it is there), ``cannot_be_told_yet``, ``no_growth``,
-        ``no_limit``.
-    limit : in the unit of the values; NaN without one.
-    early, middle, late : 5, 50 and 95 % of the time of the first passage, s since the epoch;
-        inf where that share of the possibilities never reaches it.
-    odds : of growth against none.
-    jumps : times of the first values after a jump, s since the epoch.
-    """
-
+    # ``told``, ``beyond`` (it is there), ``cannot_be_told_yet``, ``no_growth``, ``no_limit``
     status: str
-    limit: float = np.nan
+    limit: float = np.nan  # in the unit of the values; NaN without one
+    # early, middle, late: 5, 50 and 95 % of the time of the first passage, s since the epoch; inf
+    # where that share of the possibilities never reaches it
     early: float = np.nan
     middle: float = np.nan
     late: float = np.nan
-    odds: float = np.nan
+    odds: float = np.nan  # of growth against none
+    # times of the first values after a jump, s since the epoch
     jumps: tuple[float, ...] = field(default=())
 
 
@@ -358,16 +348,10 @@ class Series:
 
 @dataclass(frozen=True)
 class Outlook:
-    """What a series says of its past and future.
+    """What a series says of its past and future."""
 
-    Attributes
-    ----------
-    jumps : times of the first values after a jump, s since the epoch.
-    forecasts : one for each limit.
-    """
-
-    jumps: tuple[float, ...] = ()
-    forecasts: tuple[Forecast, ...] = ()
+    jumps: tuple[float, ...] = ()  # times of the first values after a jump, s since the epoch
+    forecasts: tuple[Forecast, ...] = ()  # one for each limit
 
 
 @lru_cache(maxsize=64)
@@ -433,23 +417,17 @@ LEAST = 3  # values through which a line is laid
 
 @dataclass(frozen=True)
 class Trend:
-    """A straight line: ``value`` = ``level`` + ``slope`` (t - ``middle``).
+    """A straight line: ``value`` = ``level`` + ``slope`` (t - ``middle``)."""
 
-    Attributes
-    ----------
-    slope, slope_stddev : SI unit per s.
-    level, level_stddev : at ``middle``, s since the epoch, where both are uncorrelated.
-    scatter : standard deviation from one recording to the next beyond what theirs explain.
-    count : values.
-    """
-
+    # slope, slope_stddev: SI unit per s
     slope: float
     slope_stddev: float
+    # level, level_stddev: at ``middle``, s since the epoch, where both are uncorrelated
     level: float
     level_stddev: float
     middle: float
-    scatter: float
-    count: int
+    scatter: float  # standard deviation from one recording to the next beyond what theirs explain
+    count: int  # values
 
     def at(self, time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the line and its standard deviation at times (n,), s since the epoch."""
@@ -515,33 +493,22 @@ COLUMN_OF = {indicator: column for column, indicator in INDICATORS.items()}
 
 @dataclass(frozen=True)
 class History:
-    """One parameter over the recordings, in order of time; arrays are (n,).
+    """One parameter over the recordings, in order of time; arrays are (n,)."""
 
-    Attributes
-    ----------
-    name : ``B``, ``beta_e`` or an indicator of health; ``unit`` is that of the values.
-    time : s since the epoch.
-    value, stddev : SI.
-    reliable : converged, untainted, and made with this config and source.
-    usable : what the line goes through: the reliable ones; where they are fewer than three, those
-        that only the model's mismatch speaks against.
-    line : through the usable ones since the last jump, or None.
-    outlook : jumps, and the time to each limit.
-    undated : recordings with a value whose stamps are no calendar time.
-    at_reference : the values are B at the reference temperature.
-    """
-
-    name: str
+    name: str  # ``B``, ``beta_e`` or an indicator of health; ``unit`` is that of the values
     unit: str
-    time: np.ndarray
+    time: np.ndarray  # s since the epoch
+    # value, stddev: SI
     value: np.ndarray
     stddev: np.ndarray
-    reliable: np.ndarray
+    reliable: np.ndarray  # converged, untainted, and made with this config and source
+    # what the line goes through: the reliable ones; where they are fewer than three, those that
+    # only the model's mismatch speaks against
     usable: np.ndarray
-    line: Trend | None
-    undated: int
-    at_reference: bool
-    outlook: Outlook = field(default_factory=Outlook)
+    line: Trend | None  # through the usable ones since the last jump, or None
+    undated: int  # recordings with a value whose stamps are no calendar time
+    at_reference: bool  # the values are B at the reference temperature
+    outlook: Outlook = field(default_factory=Outlook)  # jumps, and the time to each limit
 
     @property
     def since(self) -> float:

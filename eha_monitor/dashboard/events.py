@@ -32,20 +32,14 @@ _LOGGED = ("WARN", "ERROR", NOT_JUDGED)
 
 @dataclass(frozen=True)
 class Change:
-    """Something that changed from one health message to the next.
+    """Something that changed from one health message to the next."""
 
-    Attributes
-    ----------
-    kind : ``alarm``, ``acknowledged``, ``model``, ``diagnosis`` (begun, ended, adopted or taken
-        back), ``reset``, ``bag``, ``monitor``, ``data`` (they stop, come, or are refused) or
-        ``data quality`` (a warning about the samples, and its end).
-    level : the word of the level that it has now, "" where it has none.
-    text : a sentence.
-    """
-
+    # ``alarm``, ``acknowledged``, ``model``, ``diagnosis`` (begun, ended, adopted or taken back),
+    # ``reset``, ``bag``, ``monitor``, ``data`` (they stop, come, or are refused) or ``data
+    # quality`` (a warning about the samples, and its end)
     kind: str
-    level: str
-    text: str
+    level: str  # the word of the level that it has now, "" where it has none
+    text: str  # a sentence
 
 
 @dataclass(frozen=True)

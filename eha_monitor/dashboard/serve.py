@@ -186,24 +186,14 @@ _NO_ADDRESS = (errno.EADDRNOTAVAIL, errno.ENODEV)
 
 @dataclass(frozen=True)
 class Door:
-    """Where the page is served and who may come in.
+    """Where the page is served and who may come in."""
 
-    Attributes
-    ----------
-    listener : listening socket.
-    host : as it was requested.
-    loopback : whether nobody but this machine reaches it.
-    token : required of everyone, or None.
-    made : whether the token was made here, so that it must be printed.
-    names : further names to answer to, as those of a reverse proxy.
-    """
-
-    listener: socket.socket
-    host: str
-    loopback: bool
-    token: str | None
-    made: bool
-    names: tuple[str, ...] = ()
+    listener: socket.socket  # listening socket
+    host: str  # as it was requested
+    loopback: bool  # whether nobody but this machine reaches it
+    token: str | None  # required of everyone, or None
+    made: bool  # whether the token was made here, so that it must be printed
+    names: tuple[str, ...] = ()  # further names to answer to, as those of a reverse proxy
 
     @property
     def port(self) -> int:

@@ -188,32 +188,25 @@ class _Number:
 
 @dataclass(frozen=True)
 class View:
-    """The present state, as one consistent copy.
+    """The present state, as one consistent copy."""
 
-    Attributes
-    ----------
-    value, stddev : estimates by symbol, SI; NaN where none has come.
-    measured, estimated : position, m (rad where the motion is rotary); NaN where none has come.
-    same_stamp : whether these two are of the same time, so that their difference means something.
-    findings : the health, by name; what is no longer heard is STALE.
-    hardware : the rig's name as the monitor gives it, or that of the config.
-    silence : s since the last value of each symbol, of any (``estimates``), of each position
-        and of the health; infinite where none has come.
-    acknowledged : by the name of the alarm, what of it has been acknowledged.
-    stamp : of the last measured position, s; NaN where none has come.
-    diagnosis : the monitor's own diagnosis, by name; empty where none has come.
-    """
-
+    # value, stddev: estimates by symbol, SI; NaN where none has come
     value: dict[str, float]
     stddev: dict[str, float]
+    # measured, estimated: position, m (rad where the motion is rotary); NaN where none has come
     measured: float
     estimated: float
+    # whether these two are of the same time, so that their difference means something
     same_stamp: bool
-    findings: dict[str, Finding]
-    hardware: str
+    findings: dict[str, Finding]  # the health, by name; what is no longer heard is STALE
+    hardware: str  # the rig's name as the monitor gives it, or that of the config
+    # s since the last value of each symbol, of any (``estimates``), of each position and of the
+    # health; infinite where none has come
     silence: dict[str, float] = field(default_factory=dict)
+    # by the name of the alarm, what of it has been acknowledged
     acknowledged: dict[str, Acknowledgement] = field(default_factory=dict)
-    stamp: float = math.nan
+    stamp: float = math.nan  # of the last measured position, s; NaN where none has come
+    # the monitor's own diagnosis, by name; empty where none has come
     diagnosis: dict[str, Finding] = field(default_factory=dict)
 
 
@@ -472,21 +465,13 @@ class State:
 
 @dataclass(frozen=True)
 class Actuator:
-    """One of the actuators on the page.
+    """One of the actuators on the page."""
 
-    Attributes
-    ----------
-    name : by which it is chosen; the name of its rig where it is the only one.
-    namespace : of its topics.
-    domain : ROS domain id that is listened to.
-    state : what was heard of it.
-    topics : full names of the topics, by those keys of ``View.silence`` that are looked at.
-    """
-
-    name: str
-    namespace: str
-    domain: int
-    state: State
+    name: str  # by which it is chosen; the name of its rig where it is the only one
+    namespace: str  # of its topics
+    domain: int  # ROS domain id that is listened to
+    state: State  # what was heard of it
+    # full names of the topics, by those keys of ``View.silence`` that are looked at
     topics: dict[str, str]
 
 

@@ -297,19 +297,14 @@ STEPS = 100_000  # from which the rate is taken
 
 @dataclass(frozen=True)
 class ParameterSeries:
-    """One parameter as it converged over a recording.
+    """One parameter as it converged over a recording."""
 
-    Attributes
-    ----------
-    final : the estimate at the end, with its status and its reason.
-    value, stddev : (n,) SI.
-    converged : (n,) bool, where the motion had excited the value: nothing else is judged; or
-        what decides that from values and standard deviations.
-    """
-
-    final: ParameterEstimate
+    final: ParameterEstimate  # the estimate at the end, with its status and its reason
+    # value, stddev: (n,) SI
     value: np.ndarray
     stddev: np.ndarray
+    # (n,) bool, where the motion had excited the value: nothing else is judged; or what decides
+    # that from values and standard deviations
     converged: np.ndarray | Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 

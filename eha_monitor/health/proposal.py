@@ -29,18 +29,13 @@ WIDE = 3.0  # times the mean: a limit farther off watches nothing and needs more
 
 @dataclass(frozen=True)
 class Healthy:
-    """One parameter in one healthy recording, SI, B at the reference temperature.
+    """One parameter in one healthy recording, SI, B at the reference temperature."""
 
-    Attributes
-    ----------
-    source : the recording.
-    value, stddev : the estimate at its end.
-    low, high : lowest and highest limit that would have raised no alarm.
-    """
-
-    source: str
+    source: str  # the recording
+    # value, stddev: the estimate at its end
     value: float
     stddev: float
+    # low, high: lowest and highest limit that would have raised no alarm
     low: float
     high: float
 
@@ -66,25 +61,19 @@ class Limit:
 
 @dataclass(frozen=True)
 class Proposal:
-    """Limits of one parameter.
-
-    Attributes
-    ----------
-    mean : of the healthy recordings, geometric.
-    within, between : relative standard deviations within and between recordings; ``between`` is
-        NaN from one recording.
-    unlike : recordings that are unlike the others, with the chance of it.
-    more : how many recordings of this spread would bring each limit within ``WIDE``; 0 where all
-        are.
-    """
+    """Limits of one parameter."""
 
     symbol: str
     healthy: tuple[Healthy, ...]
-    mean: float
+    mean: float  # of the healthy recordings, geometric
+    # within, between: relative standard deviations within and between recordings; ``between`` is
+    # NaN from one recording
     within: float
     between: float
     limits: tuple[Limit, ...]
+    # recordings that are unlike the others, with the chance of it
     unlike: tuple[tuple[str, float], ...]
+    # how many recordings of this spread would bring each limit within ``WIDE``; 0 where all are
     more: int = 0
 
 

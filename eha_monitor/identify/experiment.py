@@ -156,19 +156,12 @@ START_NS = 1_000_000_000
 
 @dataclass(frozen=True)
 class Ran:
-    """A motion that was run.
+    """A motion that was run."""
 
-    Attributes
-    ----------
-    recording : what came.
-    aborted : why it ended early, or ""; ``asked`` : whether somebody asked for it.
-    bag : where it was recorded as it came, or None.
-    """
-
-    recording: Recording
-    aborted: str = ""
+    recording: Recording  # what came
+    aborted: str = ""  # why it ended early, or ""; ``asked``: whether somebody asked for it
     asked: bool = False
-    bag: Path | None = None
+    bag: Path | None = None  # where it was recorded as it came, or None
 
 
 class Rig(Protocol):
@@ -322,29 +315,23 @@ FEW = 0.05  # probability of all rivals together, below which what has no model 
 
 @dataclass(frozen=True)
 class Round:
-    """One motion, and what is known after it.
+    """One motion, and what is known after it."""
 
-    Attributes
-    ----------
-    planned, ran : the motion, and what came of it.
-    seconds : of motion so far, this one included.
-    diagnosis : of all recordings so far; None where the motion was aborted.
-    names, probability : the set that stands, and its probability; ``rivals`` the others from
-        1 % on, the most probable first.
-    following : the motion that is planned next, or None; ``end`` then says why.
-    would : what would tell the rest apart, in words, where no motion does.
-    """
-
+    # planned, ran: the motion, and what came of it
     planned: Planned
     ran: Ran
-    seconds: float
+    seconds: float  # of motion so far, this one included
+    # of all recordings so far; None where the motion was aborted
     diagnosis: Diagnosis | None = None
+    # names, probability: the set that stands, and its probability; ``rivals`` the others from 1 %
+    # on, the most probable first
     names: Names = frozenset()
     probability: float = np.nan
     rivals: dict[Names, float] = field(default_factory=dict)
+    # the motion that is planned next, or None; ``end`` then says why
     following: Planned | None = None
     end: str = ""
-    would: tuple[str, ...] = ()
+    would: tuple[str, ...] = ()  # what would tell the rest apart, in words, where no motion does
 
 
 def identify(rig: Rig, planner: Planner,

@@ -70,29 +70,23 @@ class Structure:
 
 @dataclass(frozen=True)
 class Planned:
-    """A motion within the limits.
+    """A motion within the limits."""
 
-    Attributes
-    ----------
-    motion : what is demanded, without the way to where it begins.
-    x_d : (n,) m, one value to a sample: way, rest, motion, rest.
-    expected : probability that the right structure is expected to have after it; ``now`` before,
-        ``at_last`` after as many as there is time for of the motion that then tells most.
-    until : s of it until the right structure is expected to stand; inf if not in time.
-    pair : the two structures that it is to tell apart first, or None; ``log_units`` between them
-        with what is there already, expected.
-    peaks : limit -> largest value that any likely structure predicts, SI; ``shown``
-        (n, N_OUTPUTS) what the first predicts.
-    """
-
-    motion: Motion
-    x_d: np.ndarray
+    motion: Motion  # what is demanded, without the way to where it begins
+    x_d: np.ndarray  # (n,) m, one value to a sample: way, rest, motion, rest
+    # probability that the right structure is expected to have after it; ``now`` before,
+    # ``at_last`` after as many as there is time for of the motion that then tells most
     expected: float = np.nan
     now: float = np.nan
     at_last: float = np.nan
+    # s of it until the right structure is expected to stand; inf if not in time
     until: float = np.inf
+    # the two structures that it is to tell apart first, or None; ``log_units`` between them with
+    # what is there already, expected
     pair: tuple[Names, Names] | None = None
     log_units: float = np.nan
+    # limit -> largest value that any likely structure predicts, SI; ``shown`` (n, N_OUTPUTS) what
+    # the first predicts
     peaks: dict[str, float] = field(default_factory=dict)
     shown: np.ndarray | None = None
 

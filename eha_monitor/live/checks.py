@@ -62,13 +62,9 @@ FIRST_S = 2.0  # of rows; 360 cuts of so much and more of right recordings gave 
 
 @dataclass
 class Backoff:
-    """When to look again at something that costs much: after each no twice as late.
+    """When to look again at something that costs much: after each no twice as late."""
 
-    Parameters
-    ----------
-    shortest, longest : waiting times, s.
-    """
-
+    # shortest, longest: waiting times, s
     shortest: float
     longest: float
     looked: float = -math.inf

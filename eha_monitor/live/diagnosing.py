@@ -86,25 +86,15 @@ def model_of(settings: Settings) -> dict:
 
 @dataclass(frozen=True)
 class Adopted:
-    """A model that was put in place of that of the config.
+    """A model that was put in place of that of the config."""
 
-    Attributes
-    ----------
-    who : ``service`` or ``automatic``.
-    time_utc : when, ISO 8601.
-    words : the effects, for people.
-    report : where its diagnosis is described.
-    base : the model of the config then; for another one it is not valid.
-    model : as :func:`model_of`.
-    spread : relative standard deviations of ``B`` and ``beta_e`` in the diagnosis.
-    """
-
-    who: str
-    time_utc: str
-    words: str
-    report: str
-    base: dict
-    model: dict
+    who: str  # ``service`` or ``automatic``
+    time_utc: str  # when, ISO 8601
+    words: str  # the effects, for people
+    report: str  # where its diagnosis is described
+    base: dict  # the model of the config then; for another one it is not valid
+    model: dict  # as :func:`model_of`
+    # relative standard deviations of ``B`` and ``beta_e`` in the diagnosis
     spread: dict = field(default_factory=dict)
 
     def applied(self, settings: Settings) -> Settings:
@@ -198,23 +188,14 @@ TURN, COMPARING = Turn(), Turn()
 
 @dataclass(frozen=True)
 class Answer:
-    """What came of a diagnosis.
+    """What came of a diagnosis."""
 
-    Attributes
-    ----------
-    problem : why there is no answer, as a sentence; "" where there is one.
-    tree : the JSON of ``diagnose``; empty without an answer.
-    completed : the config with what was found, None where nothing was.
-    folder : of the report, the JSON and the config; ``bags`` that were diagnosed.
-    wall_s : duration, s.
-    """
-
-    problem: str
-    folder: Path
+    problem: str  # why there is no answer, as a sentence; "" where there is one
+    folder: Path  # of the report, the JSON and the config; ``bags`` that were diagnosed
     bags: tuple[Path, ...]
-    tree: dict = field(default_factory=dict)
-    completed: Settings | None = None
-    wall_s: float = math.nan
+    tree: dict = field(default_factory=dict)  # the JSON of ``diagnose``; empty without an answer
+    completed: Settings | None = None  # the config with what was found, None where nothing was
+    wall_s: float = math.nan  # duration, s
 
     @property
     def verdict(self) -> str:

@@ -40,20 +40,14 @@ def steps_from(before: float, values: np.ndarray) -> np.ndarray:
 
 @dataclass(kw_only=True)
 class Counts:
-    """What became of the samples of a stream.
+    """What became of the samples of a stream."""
 
-    Attributes
-    ----------
-    taken, late, repeated : samples taken, dropped as late, as repeated.
-    empty : messages with the entry and without a number.
-    lacked : rows that went without this source.
-    """
-
+    # taken, late, repeated: samples taken, dropped as late, as repeated
     taken: int = 0
     late: int = 0
     repeated: int = 0
-    empty: int = 0
-    lacked: int = 0
+    empty: int = 0  # messages with the entry and without a number
+    lacked: int = 0  # rows that went without this source
 
     def counts(self) -> "Counts":
         """Return the counts as they are now."""
@@ -64,28 +58,19 @@ class Counts:
 class Source(Counts):
     """One stream of channels that share a stamp, and what became of its samples.
 
-    Attributes
-    ----------
-    name : for messages, e.g. ``joint_states (piston)``.
-    channels : names of the values of each sample, in order.
-    held : slow channels: the last value counts, no row waits for the next one.
-    by_receipt : its messages have no stamp, that of their receipt stands for it.
-    last_ns : stamp of the last sample taken; None before the first.
-    heard_s : when the last sample came, on the caller's clock.
-    jumped : samples dropped as doubtful jumps.
-    skipped : messages since the last sample that gave none.
-    steps : ns between the stamps taken, shared among what was not read between them.
-    stamps, values, came : the samples that wait: ns, (n, k), s on the caller's clock.
+    The samples that wait are ``stamps``, ``values`` and ``came``: ns, (n, k), s on the caller's
+    clock.
     """
 
-    name: str
-    channels: tuple[str, ...]
-    held: bool = False
-    by_receipt: bool = False
-    last_ns: int | None = None
-    heard_s: float = -math.inf
-    jumped: int = 0
-    skipped: int = 0
+    name: str  # for messages, e.g. ``joint_states (piston)``
+    channels: tuple[str, ...]  # names of the values of each sample, in order
+    held: bool = False  # slow channels: the last value counts, no row waits for the next one
+    by_receipt: bool = False  # its messages have no stamp, that of their receipt stands for it
+    last_ns: int | None = None  # stamp of the last sample taken; None before the first
+    heard_s: float = -math.inf  # when the last sample came, on the caller's clock
+    jumped: int = 0  # samples dropped as doubtful jumps
+    skipped: int = 0  # messages since the last sample that gave none
+    # ns between the stamps taken, shared among what was not read between them
     steps: deque = field(default_factory=lambda: deque(maxlen=KEPT))
     epoch_ns: int | None = None
     doubted: int = 0
@@ -127,34 +112,24 @@ class Source(Counts):
 
 @dataclass(frozen=True)
 class Batch:
-    """What a topic brought of one source, message by message.
-
-    Attributes
-    ----------
-    stamps, values, came : (n,) ns, (n, k), (n,) s.
-    lacking : of messages that gave no sample, whether for want of a number; None where all gave
-        one.
-    """
+    """What a topic brought of one source, message by message."""
 
     source: Source
+    # stamps, values, came: (n,) ns, (n, k), (n,) s
     stamps: np.ndarray
     values: np.ndarray
     came: np.ndarray
+    # of messages that gave no sample, whether for want of a number; None where all gave one
     lacking: tuple[bool | None, ...] | None = None
 
 
 @dataclass(frozen=True)
 class Rows:
-    """Aligned rows.
+    """Aligned rows."""
 
-    Attributes
-    ----------
-    stamps, came : (n,) ns; when each position came, s on the caller's clock.
-    columns : channel -> (n,), NaN where it has no value.
-    """
-
+    # stamps, came: (n,) ns; when each position came, s on the caller's clock
     stamps: np.ndarray
-    columns: dict[str, np.ndarray]
+    columns: dict[str, np.ndarray]  # channel -> (n,), NaN where it has no value
     came: np.ndarray
 
     def __len__(self) -> int:

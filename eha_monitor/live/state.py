@@ -52,17 +52,11 @@ def check(out: np.ndarray, sigma: int) -> None:
 
 @dataclass(kw_only=True)
 class LiveStage:
-    """What both stages share: the very step that runs over recordings, batch by batch.
+    """What both stages share: the very step that runs over recordings, batch by batch."""
 
-    Attributes
-    ----------
-    run : runs the stage over rows (:func:`stages.engine_of`).
-    model : the rig and its modelled effects.
-    constants, state : of the stage; ``state`` is updated in place.
-    """
-
-    run: Callable[..., int]
-    model: RigModel
+    run: Callable[..., int]  # runs the stage over rows (:func:`stages.engine_of`)
+    model: RigModel  # the rig and its modelled effects
+    # constants, state: of the stage; ``state`` is updated in place
     constants: ConstantsOne | ConstantsTwo
     state: StateOne | StateTwo
 
@@ -259,39 +253,28 @@ class LiveStageTwo(LiveStage):
 
 @dataclass
 class LiveState:
-    """What the filters know; rows and events are not part of it.
+    """What the filters know; rows and events are not part of it."""
 
-    Attributes
-    ----------
-    settings : those of the start; never changed in place.
-    handover, tester : when stage two gets a damping; the test of the model.
-    taken : rows that have been filtered.
-    one, two : the stages, once they run.
-    damping : B that stage two takes, and its variance.
-    piece : first row that the present damping holds for.
-    stale_piece : B has changed since stage two was run over the buffer.
-    clean : row from which on stage two is run again.
-    changes : of each stage (row, before, after, samples that showed it), the last 200.
-    noise_at : when the noise is measured again, s after the start.
-    noise, quantum, r : of the channels; resolution (m) and variance (m^2) of the position.
-    announced : parameters whose convergence has been reported.
-    """
-
-    settings: Settings
+    settings: Settings  # those of the start; never changed in place
+    # handover, tester: when stage two gets a damping; the test of the model
     handover: Handover
     tester: LiveModel
-    noise_at: list[float]
-    taken: int = 0
+    noise_at: list[float]  # when the noise is measured again, s after the start
+    taken: int = 0  # rows that have been filtered
+    # one, two: the stages, once they run
     one: LiveStageOne | None = None
     two: LiveStageTwo | None = None
-    damping: tuple[float, float] = (math.nan, math.nan)
-    piece: int = 0
-    stale_piece: bool = False
-    clean: int = 0
+    damping: tuple[float, float] = (math.nan, math.nan)  # B that stage two takes, and its variance
+    piece: int = 0  # first row that the present damping holds for
+    stale_piece: bool = False  # B has changed since stage two was run over the buffer
+    clean: int = 0  # row from which on stage two is run again
+    # of each stage (row, before, after, samples that showed it), the last 200
     changes: dict[str, list[Change]] = field(default_factory=lambda: {"one": [], "two": []})
+    # noise, quantum, r: of the channels; resolution (m) and variance (m^2) of the position
     noise: dict[str, NoiseEstimate] = field(default_factory=dict)
     quantum: float = 0.0
     r: float = math.nan
+    # parameters whose convergence has been reported
     announced: set[str] = field(default_factory=set)
 
     @classmethod

@@ -119,23 +119,16 @@ class Listener:
 
 @dataclass(frozen=True)
 class Served:
-    """What is served and where.
+    """What is served and where."""
 
-    Attributes
-    ----------
-    port, host : of the page; port 0 takes any that is free.
-    token : asked of everyone; None asks for none on loopback, and makes one elsewhere.
-    metrics : whether ``/metrics`` is there.
-    foxglove : port of a Foxglove WebSocket on loopback, or None for none.
-    names : further host names to answer to; a token is asked for then.
-    """
-
+    # port, host: of the page; port 0 takes any that is free
     port: int
     host: str
+    # asked of everyone; None asks for none on loopback, and makes one elsewhere
     token: str | None = None
-    metrics: bool = False
-    foxglove: int | None = None
-    names: tuple[str, ...] = ()
+    metrics: bool = False  # whether ``/metrics`` is there
+    foxglove: int | None = None  # port of a Foxglove WebSocket on loopback, or None for none
+    names: tuple[str, ...] = ()  # further host names to answer to; a token is asked for then
 
 
 @contextlib.contextmanager

@@ -27,27 +27,19 @@ _MODEL_LEVEL = {"consistent": "OK", "mismatch": "WARN"}  # else STALE: it has no
 
 @dataclass
 class DataState:
-    """How the data come.
+    """How the data come."""
 
-    Attributes
-    ----------
-    stopped : why there are no rows now, or None.
-    problems : sentences about missing channels and the like.
-    unsettled : symbols of parameters that have diverged only just now.
-    implausible : what contradicts the config (signs, units, channels), "" where nothing does.
-    refused : nothing is estimated for it.
-    overload : that the monitor cannot keep up, or None.
-    unsaved : why the last bag could not be written, or None.
-    values : numbers for the diagnostics: rates, counts, latencies, CPU share.
-    """
-
-    stopped: str | None = "no data yet"
+    stopped: str | None = "no data yet"  # why there are no rows now, or None
+    # sentences about missing channels and the like
     problems: list[str] = field(default_factory=list)
+    # symbols of parameters that have diverged only just now
     unsettled: set[str] = field(default_factory=set)
+    # what contradicts the config (signs, units, channels), "" where nothing does
     implausible: str = ""
-    refused: bool = False
-    overload: Overload | None = None
-    unsaved: str | None = None
+    refused: bool = False  # nothing is estimated for it
+    overload: Overload | None = None  # that the monitor cannot keep up, or None
+    unsaved: str | None = None  # why the last bag could not be written, or None
+    # numbers for the diagnostics: rates, counts, latencies, CPU share
     values: dict[str, float | int | str] = field(default_factory=dict)
 
 

@@ -35,22 +35,16 @@ COMMAND = "command"
 
 @dataclass
 class Job:
-    """A motion that is run.
+    """A motion that is run."""
 
-    Attributes
-    ----------
-    x_d : (n,) m; ``start_ns`` stamp of the first, ``sent`` how many are.
-    end_ns : stamp up to which what comes is recorded.
-    kept : topic and type -> (received ns, message).
-    aborted, asked : why it ends early, and whether somebody asked for it.
-    """
-
-    x_d: np.ndarray
+    x_d: np.ndarray  # (n,) m; ``start_ns`` stamp of the first, ``sent`` how many are
     start_ns: int
-    end_ns: int
+    end_ns: int  # stamp up to which what comes is recorded
     watch: Watch
     sent: int = 0
+    # topic and type -> (received ns, message)
     kept: dict[tuple[str, str], list[tuple[int, bytes]]] = field(default_factory=dict)
+    # aborted, asked: why it ends early, and whether somebody asked for it
     aborted: str = ""
     asked: bool = False
     done: threading.Event = field(default_factory=threading.Event)

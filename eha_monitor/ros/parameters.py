@@ -57,28 +57,19 @@ UNSET, _UNSET_WORDS = math.nan, ("nan", ".nan", "null", "none", "~", "")
 
 @dataclass(frozen=True)
 class Declared:
-    """One scalar key of the config as a ROS parameter.
+    """One scalar key of the config as a ROS parameter."""
 
-    Attributes
-    ----------
-    name : dotted, e.g. ``thresholds.viscous_damping.high_warn``.
-    value : number, text or bool; None where the config says null.
-    description, unit : from the declaration.
-    lower, upper : range of a number, None where there is none.
-    read_only : whether it is fixed once the node runs.
-    number : whether it is one, or may be.
-    optional : whether it may be null.
-    """
-
-    name: str
-    value: Any
+    name: str  # dotted, e.g. ``thresholds.viscous_damping.high_warn``
+    value: Any  # number, text or bool; None where the config says null
+    # description, unit: from the declaration
     description: str
     unit: str
+    # lower, upper: range of a number, None where there is none
     lower: float | None
     upper: float | None
-    read_only: bool
-    number: bool = False
-    optional: bool = False
+    read_only: bool  # whether it is fixed once the node runs
+    number: bool = False  # whether it is one, or may be
+    optional: bool = False  # whether it may be null
 
     @property
     def shown(self) -> Any:

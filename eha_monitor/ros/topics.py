@@ -106,17 +106,11 @@ class Entry:
 
 @dataclass(frozen=True)
 class Topic:
-    """One topic to subscribe to, and the streams it carries.
+    """One topic to subscribe to, and the streams it carries."""
 
-    Attributes
-    ----------
-    name : as the config has it, before any remap.
-    full_name : as it is on the graph, for messages to people.
-    """
-
-    name: str
+    name: str  # as the config has it, before any remap
     entries: tuple[Entry, ...]
-    full_name: str
+    full_name: str  # as it is on the graph, for messages to people
 
     @property
     def default_type(self) -> str | None:
