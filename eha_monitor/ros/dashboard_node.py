@@ -90,7 +90,7 @@ class Listener:
             return
         now, clock_ns = time.monotonic(), self._node.get_clock().now().nanoseconds
         came, stamps_ns = (np.full(len(messages), value) for value in (now, clock_ns))
-        for batch in self.measured.read(messages, came, stamps_ns):
+        for batch in self.measured.reader.read(messages, came, stamps_ns):
             for stamp_ns, values in zip(batch.stamps, batch.values, strict=True):
                 self.state.take_position("measured", float(stamp_ns) * 1e-9, float(values[0]), now)
 

@@ -208,8 +208,8 @@ class RosRig:
             if job is not None:
                 job.kept.setdefault((each.topic.full_name, each.type), []).extend(
                     zip(received, messages, strict=True))
-            for batch in each.read(messages, np.full(len(messages), now),
-                                   np.full(len(messages), clock_ns)):
+            for batch in each.reader.read(messages, np.full(len(messages), now),
+                                          np.full(len(messages), clock_ns)):
                 shown = {name: values for name, values in zip(
                     batch.source.channels, batch.values.T, strict=True)
                     if name in CHANNELS and np.isfinite(values).any()}

@@ -59,7 +59,7 @@ class Keeper:
     def stream(self, topic: str, type_name: str, latched: bool = False) -> int:
         """Return the number under which a topic's messages are kept."""
         return self.ring.stream(self._node.resolve_topic_name(topic),
-                                TopicType(type_name, latched)) if self.ring is not None else 0
+                                TopicType(type_name, latched))
 
     def note(self, changes: list[Alarm]) -> None:
         """Save the last minutes if one of these alarms has been raised far enough.

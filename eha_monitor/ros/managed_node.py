@@ -4,7 +4,7 @@ import gc
 import sys
 from collections.abc import Callable
 from contextlib import ExitStack
-from functools import partial
+from functools import partial, wraps
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +15,6 @@ from eha_monitor.errors import InputError
 from eha_monitor.ros import running
 from eha_monitor.ros.monitor_node import Monitor
 from eha_monitor.ros.parameters import MONITOR_KEYS, declare, settings_of_node
-from eha_monitor.ros.without_events import WithoutEvents
 from eha_monitor.settings import Settings
 
 # Past the first second, when stage two is run and the model is tested.
@@ -24,7 +23,26 @@ WARM_UP_ROWS = 3000
 SWITCH_S = 0.0005
 
 
-class ManagedMonitor(WithoutEvents, LifecycleNode):
+def _transition(work: Callable) -> Callable:
+    """Make a transition that says why its work failed: rclpy itself would be silent."""
+    @wraps(work)
+    def done(self: "ManagedMonitor", state: LifecycleState) -> TransitionCallbackReturn:
+        self.failure = None
+        try:
+            work(self)
+        except InputError as problem:
+            self.failure = problem
+            self.get_logger().error(str(problem))
+            return TransitionCallbackReturn.FAILURE
+        except Exception as problem:  # noqa: BLE001  told, and rclpy makes it an error
+            self.failure = problem
+            self.get_logger().error(f"defect: {problem!r}")
+            return TransitionCallbackReturn.ERROR
+        return TransitionCallbackReturn.SUCCESS
+    return done
+
+
+class ManagedMonitor(running.WithoutEvents, LifecycleNode):
     """A monitor in the states of a managed node.
 
     Unconfigured there is nothing but the parameters.  Configured, so inactive, there are
@@ -75,30 +93,34 @@ class ManagedMonitor(WithoutEvents, LifecycleNode):
         if self.failure is not None:
             raise self.failure
 
-    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
+    @_transition
+    def on_configure(self) -> None:
         """Make estimator, publishers and services."""
-        return self._do(self._configure)
+        self.monitor = Monitor(self, self.settings, self._factory, self._source, active=False)
 
-    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+    @_transition
+    def on_activate(self) -> None:
         """Take data and publish."""
-        return self._do(lambda: self.monitor.activate())
+        self.monitor.activate()
 
-    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
+    @_transition
+    def on_deactivate(self) -> None:
         """Say that the health is unknown from now on, and stop."""
-        return self._do(self._deactivate)
+        self._summarise(self.monitor)
+        self.monitor.deactivate()
 
-    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Give up what was made, the minutes in the buffer included."""
-        return self._do(self.close)
+    @_transition
+    def on_cleanup(self) -> None:
+        """Give up what was made, the minutes in the buffer included; so too after a defect."""
+        self.close()
 
-    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
+    on_error = on_cleanup
+
+    @_transition
+    def on_shutdown(self) -> None:
         """End for good."""
         self.ended = True
-        return self._do(self.close)
-
-    def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """After a defect: back to unconfigured."""
-        return self._do(self.close)
+        self.close()
 
     def close(self) -> None:
         """End the monitor, if there is one; a bag that is due is written first."""
@@ -119,13 +141,6 @@ class ManagedMonitor(WithoutEvents, LifecycleNode):
             self._summarise(self.monitor)
         return self._summary
 
-    def _configure(self) -> None:
-        self.monitor = Monitor(self, self.settings, self._factory, self._source, active=False)
-
-    def _deactivate(self) -> None:
-        self._summarise(self.monitor)
-        self.monitor.deactivate()
-
     def _summarise(self, monitor: Monitor) -> None:
         if monitor.active:
             self._summary = monitor.summary()
@@ -134,21 +149,6 @@ class ManagedMonitor(WithoutEvents, LifecycleNode):
         self.settings = settings
         if self.monitor is not None:
             self.monitor.reconfigure(settings)
-
-    def _do(self, work: Callable[[], None]) -> TransitionCallbackReturn:
-        """Do the work of a transition and say why it failed: rclpy itself would be silent."""
-        self.failure = None
-        try:
-            work()
-        except InputError as problem:
-            self.failure = problem
-            self.get_logger().error(str(problem))
-            return TransitionCallbackReturn.FAILURE
-        except Exception as problem:  # noqa: BLE001  told, and rclpy makes it an error
-            self.failure = problem
-            self.get_logger().error(f"defect: {problem!r}")
-            return TransitionCallbackReturn.ERROR
-        return TransitionCallbackReturn.SUCCESS
 
     def _guarded(self, change_state: Callable) -> Callable:
         """Refuse a transition that the state does not have; rclpy would end the process."""

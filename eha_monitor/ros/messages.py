@@ -22,7 +22,7 @@ from eha_monitor.estimation.results import ModelStatus, ParameterEstimate
 from eha_monitor.health.alarms import WATCHED, Alarm
 from eha_monitor.health.judge import Finding
 from eha_monitor.ros.keeper import Keeper
-from eha_monitor.ros.topics import LATCHED, QUEUED, clashes
+from eha_monitor.ros.topics import LATCHED, QUEUED
 from eha_monitor.settings import Settings
 
 ESTIMATES = "monitor/estimates"  # each with its deviation, unit and status, in one stamped message
@@ -168,7 +168,7 @@ class Outputs:
         self._node, self._keeper = node, keeper
         self._frame, self._hardware = settings.frame_id, settings.rig.name
         self._publishers: list[Publisher] = []
-        self._topics: list[str] = []
+        self.topics: list[str] = []
         self._numbers = {}
         for watched in WATCHED:
             topic = f"monitor/{watched.section}"
@@ -211,10 +211,6 @@ class Outputs:
         self._publish(self._diagnosis, diagnostics(
             self._node.get_clock().now().nanoseconds, findings, self._hardware, self._frame))
 
-    def clashes(self) -> list[str]:
-        """Return in sentences which subscribers get nothing, as they ask for another QoS."""
-        return [clash for topic in self._topics for clash in clashes(self._node, topic)]
-
     def close(self) -> None:
         """End the publishers."""
         for publisher in self._publishers:
@@ -223,7 +219,7 @@ class Outputs:
     def _make(self, kind: type, topic: str, qos: QoSProfile = QUEUED,
               kept: bool = True) -> tuple[Publisher, int | None]:
         publisher = self._node.create_publisher(kind, topic, qos)
-        self._topics.append(topic)
+        self.topics.append(topic)
         self._publishers.append(publisher)
         if not kept or self._keeper.ring is None:
             return publisher, None

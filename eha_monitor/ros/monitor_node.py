@@ -33,7 +33,7 @@ from eha_monitor.ros.findings import (
 from eha_monitor.ros.keeper import Keeper
 from eha_monitor.ros.messages import Outputs
 from eha_monitor.ros.subscriptions import DEMANDED, OPTIONAL, Drain, Load, TopicInput
-from eha_monitor.ros.topics import topics_of
+from eha_monitor.ros.topics import clashes, topics_of
 from eha_monitor.settings import Settings
 
 # Health is judged at this spacing of the data's own time, so that a replay at ten times the
@@ -344,7 +344,7 @@ class Monitor:
     def _look(self, now: float) -> None:
         """Look for faults of the data, and take back what a frozen channel gave."""
         self.load.look(self.drain.look(), self.aligner.rows, self.missing_samples)
-        self.data.overload = overload = self.load.found()
+        self.data.overload = overload = self.load.watch.found(time.monotonic())
         for channel, since_ns in self.watch.look(now).items():
             if self._origin_ns is not None:
                 since_s = (since_ns - self._origin_ns) * 1e-9
@@ -401,8 +401,8 @@ class Monitor:
         return (self._origin_ns or 0) + round(state_time_s * 1e9)
 
     def _note_clashes(self) -> None:
-        self._clashes = [clash for each in (*self.inputs, self._outputs)
-                         for clash in each.clashes()]
+        names = (*(topic.name for topic in self._topics), *self._outputs.topics)
+        self._clashes = [clash for name in names for clash in clashes(self.node, name)]
 
     def _every_second(self) -> None:
         for topic_input in self.inputs:

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import rclpy
 from rclpy.duration import Duration
+from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
 from rclpy.exceptions import InvalidNamespaceException, InvalidParameterException
 from rclpy.executors import ExternalShutdownException
 from rclpy.experimental import EventsExecutor
@@ -19,7 +20,6 @@ from rclpy.utilities import remove_ros_args
 
 from eha_monitor.errors import InputError
 from eha_monitor.ros.parameters import for_rcl, with_namespace
-from eha_monitor.ros.without_events import QuietNode
 from eha_monitor.settings import Settings, load_settings
 
 # So often the loop looks up whether it is to end: while nothing comes, signals wait.
@@ -28,6 +28,32 @@ _LOOK_UP = 1.0
 # that was killed never does.
 _DELIVERY = 2.0
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
+
+
+class WithoutEvents:
+    """Mixed in before a kind of node: its endpoints ask for no event of the middleware.
+
+    Those can stop every message for good.  rmw_fastrtps 8.4 holds the lock of an endpoint's
+    events while it asks the endpoint for its status, and Fast DDS holds the endpoint's lock while
+    it tells of an event (pull request 890 of rmw_fastrtps).  Where an EventsExecutor takes up an
+    endpoint in the moment in which it is matched, the two wait for each other forever, and the
+    process receives nothing more.  rclpy asks for two events of every endpoint, to warn of an
+    incompatible QoS or type.
+    """
+
+    def create_publisher(self, *arguments, **options):
+        """Make a publisher as :meth:`rclpy.node.Node.create_publisher` does."""
+        none = PublisherEventCallbacks(use_default_callbacks=False)
+        return super().create_publisher(*arguments, event_callbacks=none, **options)
+
+    def create_subscription(self, *arguments, **options):
+        """Make a subscription as :meth:`rclpy.node.Node.create_subscription` does."""
+        none = SubscriptionEventCallbacks(use_default_callbacks=False)
+        return super().create_subscription(*arguments, event_callbacks=none, **options)
+
+
+class QuietNode(WithoutEvents, Node):
+    """A node whose own endpoints, that of parameter events too, ask for no event."""
 
 
 @contextlib.contextmanager

@@ -154,8 +154,8 @@ class _Commands:
         """Take the commands that came."""
         while True:
             messages, _, _ = self._input.take()
-            for batch in self._input.read(messages, np.zeros(len(messages)), np.zeros(
-                    len(messages), dtype=np.int64)) if messages else ():
+            none = np.zeros(len(messages), dtype=np.int64)
+            for batch in self._input.reader.read(messages, none, none) if messages else ():
                 column = batch.source.channels.index("x_d")
                 for at, value in zip(batch.stamps, batch.values[:, column], strict=True):
                     kept = np.searchsorted(self._stamps, at)

@@ -6,6 +6,7 @@ second, which costs a tenth of an executor's way to a callback for each.
 
 import time
 from collections.abc import Callable, Sequence
+from functools import cache
 
 import numpy as np
 from rclpy.impl.implementation_singleton import rclpy_implementation
@@ -14,13 +15,13 @@ from rclpy.qos import QoSProfile
 from rclpy.type_support import check_is_valid_msg_type
 
 from eha_monitor.errors import InputError
-from eha_monitor.health.overload import LoadWatch, Overload
+from eha_monitor.health.overload import LoadWatch
 from eha_monitor.live.faults import MIXED
-from eha_monitor.live.rows import Batch, RowAligner
+from eha_monitor.live.rows import RowAligner
 from eha_monitor.recordings.dating import Dating
 from eha_monitor.ros.decoding import Stream, TopicReader
 from eha_monitor.ros.keeper import Keeper
-from eha_monitor.ros.topics import INPUT_QOS, Topic, clashes, crowd
+from eha_monitor.ros.topics import INPUT_QOS, Topic, crowd
 
 AT_ONCE = 500  # messages of a topic that are taken before those of the next
 
@@ -122,16 +123,6 @@ class TopicInput:
         self.messages += len(messages)
         return messages, received, sent_ns
 
-    def read(self, messages: Sequence[bytes], came: np.ndarray, now_ns: np.ndarray
-             ) -> list[Batch]:
-        """Return the samples of each stream in messages of :meth:`take`.
-
-        Parameters
-        ----------
-        came, now_ns : (n,) when each was received: s, monotonic, and ns on the node's clock.
-        """
-        return self.reader.read(messages, came, now_ns)
-
     def close(self) -> None:
         """End the subscription."""
         if self._subscription is not None:
@@ -166,10 +157,6 @@ class TopicInput:
                     for each in problems)
         return crowd(self._node, self.topic.name) if mixed else ""
 
-    def clashes(self) -> list[str]:
-        """Return in sentences which publishers offer what this subscription cannot take."""
-        return clashes(self._node, self.topic.name)
-
     def rate(self, now: float) -> float:
         """Return the messages per second since the last call; ``now`` in s, monotonic."""
         (count, since), self._counted = self._counted, (self.messages, now)
@@ -195,7 +182,7 @@ class Drain:
                  keeper: Keeper):
         self._node, self._aligner, self._keeper = node, aligner, keeper
         self._inputs = sorted(inputs, key=lambda one: not one.leads)
-        self._streams: dict[tuple[str, str], int] = {}
+        self._stream = cache(keeper.stream)
         self._dating = Dating()  # by the position, which is taken first
         self._transport = np.inf  # the least from sending to reception, on two clocks, s
         self.oldest = 0.0
@@ -214,7 +201,7 @@ class Drain:
             waited = np.zeros(len(received)) if not received[0] else np.minimum(np.maximum(
                 (wall_ns - np.array(received)) * 1e-9, 0.0), LONGEST_S)
             came_ns = clock_ns - np.rint(waited * 1e9).astype(np.int64)
-            batches += each.read(messages, now - waited, came_ns if each.reader.stamped
+            batches += each.reader.read(messages, now - waited, came_ns if each.reader.stamped
                                  else self._dating.dated(each.topic.name, came_ns))
             if each.leads and each.reader.stamped:
                 self._dating.learn(came_ns, each.reader.stamps)
@@ -222,7 +209,7 @@ class Drain:
             self._transport = min(self._transport, transport)
             self.oldest = max(self.oldest, float(waited[0]) + transport - self._transport)
             if self._keeper.ring is not None:
-                kept.append((self._stream(each), received, messages))
+                kept.append((self._stream(each.topic.name, each.type), received, messages))
         if batches:
             self._aligner.take(batches)
         if kept:
@@ -237,12 +224,6 @@ class Drain:
         """Return the age of the oldest message since the last call, s; 0 where none came."""
         oldest, self.oldest = self.oldest, 0.0
         return oldest
-
-    def _stream(self, each: TopicInput) -> int:
-        key = each.topic.name, each.type
-        if key not in self._streams:
-            self._streams[key] = self._keeper.stream(*key)
-        return self._streams[key]
 
 
 class Load:
@@ -261,7 +242,6 @@ class Load:
         self._jobs = [[period, now + period, job] for period, job in jobs]
         self._ran = self._looked = now
         self._away = self._waited = 0.0
-        self._busy = False
 
     def run(self, now: float) -> float:
         """Note that the monitor runs at ``now`` (s, monotonic); return for how long not, s."""
@@ -271,16 +251,10 @@ class Load:
 
     def tick(self, now: float) -> None:
         """Do what is due at ``now`` (s, monotonic)."""
-        if self._busy:
-            return
-        self._busy = True
-        try:
-            for job in self._jobs:
-                if now >= job[1] - EARLY * self.period:
-                    job[1] = max(job[1] + job[0], now)
-                    job[2]()
-        finally:
-            self._busy = False
+        for job in self._jobs:
+            if now >= job[1] - EARLY * self.period:
+                job[1] = max(job[1] + job[0], now)
+                job[2]()
 
     def look(self, waited: float, rows: int, missing: int) -> None:
         """See whether the monitor keeps up, some times a second.
@@ -296,7 +270,3 @@ class Load:
             return
         self.watch.look(now, rows, missing, self._waited, self._away)
         self._looked, self._away, self._waited = now, 0.0, 0.0
-
-    def found(self) -> Overload | None:
-        """Return what is wrong now, or None."""
-        return self.watch.found(time.monotonic())
