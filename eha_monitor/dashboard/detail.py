@@ -8,10 +8,9 @@ from collections.abc import Callable
 from nicegui import ui
 
 from eha_monitor.dashboard import charts, words
-from eha_monitor.dashboard.events import MISMATCH
 from eha_monitor.dashboard.state import STAGES, Actuator, Span, State, View, alarms, thinned
 from eha_monitor.health.alarms import ALARM_NAMES, NO_LIMIT, WATCHED, Watched
-from eha_monitor.health.judge import DIAGNOSIS, MACHINE
+from eha_monitor.health.judge import DIAGNOSIS, MACHINE, MISMATCH
 from eha_monitor.quantity import NOTE, SYMBOLS, readable
 
 
@@ -262,7 +261,7 @@ class Detail:
         """Bring numbers, words and the piston up to date."""
         for alarm in alarms(view):
             self._refresh_alarm(view, alarm.name, alarm.word, alarm.message)
-        for stage, watched in zip(STAGES, WATCHED, strict=True):
+        for stage, watched in STAGES.items():
             self._refresh_estimate(view, watched, stage)
         found = view.findings.get(MISMATCH)
         self._refresh_alarm(view, MISMATCH, found.word if found else "STALE",

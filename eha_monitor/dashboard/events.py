@@ -17,10 +17,9 @@ from pathlib import Path
 
 from eha_monitor.errors import InputError
 from eha_monitor.health.alarms import ALARM_NAMES, NOT_JUDGED, SEVERITY
-from eha_monitor.health.judge import DIAGNOSIS, Finding
+from eha_monitor.health.judge import DIAGNOSIS, MISMATCH, Finding
 from eha_monitor.output import write_bytes
 
-MISMATCH = "model_mismatch"
 QUALITY = "data quality"
 # What a person can acknowledge.
 ACKNOWLEDGED = (*ALARM_NAMES, MISMATCH)

@@ -5,7 +5,7 @@ import time
 from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING
 
-from eha_monitor.dashboard.events import ACKNOWLEDGED, MISMATCH, csv_text, utc
+from eha_monitor.dashboard.events import ACKNOWLEDGED, csv_text, utc
 from eha_monitor.dashboard.state import (
     ESTIMATES_EVERY,
     HEALTH_STALE_AFTER,
@@ -17,6 +17,7 @@ from eha_monitor.dashboard.state import (
 )
 from eha_monitor.estimation.results import units_of
 from eha_monitor.health.alarms import NOT_JUDGED, WATCHED
+from eha_monitor.health.judge import MISMATCH
 
 if TYPE_CHECKING:
     from prometheus_client.core import GaugeMetricFamily
@@ -111,7 +112,7 @@ def _estimates(state: State, view: View) -> Iterator[Sample]:
     """Give value, deviation and status; a value that is no longer fed is left out."""
     monitor = state.settings.monitor
     limit = monitor.stale_after + 1.0 / monitor.publish_rate
-    for stage, watched in zip(STAGES, WATCHED, strict=True):
+    for stage, watched in STAGES.items():
         symbol, section = watched.symbol, watched.section
         unit = UNITS[symbol, state.settings.rig.motion]
         if view.silence[symbol] <= limit:

@@ -168,7 +168,7 @@ RECENT = 1000
 PAIR_HOLDS = 0.5
 # Health comes once a second; after this without it, what it said counts no more, s.
 HEALTH_STALE_AFTER = 3.0
-STAGES = ("stage_one", "stage_two")
+STAGES = {"stage_one": WATCHED[0], "stage_two": WATCHED[1]}
 # A clock that was set goes at least so far at once; less is what it is steered by, s.
 CLOCK_SET = 0.5
 # A reset that is reported twice within this time is one, s.
@@ -480,8 +480,7 @@ def in_doubt(findings: Mapping[str, Finding], symbol: str) -> bool:
 
     Its stage's is in doubt, and no least squares stand in its place.
     """
-    stage, watched = next((stage, watched) for stage, watched in zip(STAGES, WATCHED, strict=True)
-                          if watched.symbol == symbol)
+    stage, watched = next(pair for pair in STAGES.items() if pair[1].symbol == symbol)
     own = findings.get(stage)
     return own is not None and bool(int(own.values.get("in_doubt") or 0)) and not any(
         int(one.values.get("by_least_squares") or 0) for name, one in findings.items()

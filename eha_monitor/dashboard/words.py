@@ -10,7 +10,7 @@ from eha_monitor.dashboard import state
 from eha_monitor.dashboard.events import ACKNOWLEDGED
 from eha_monitor.estimation.results import units_of
 from eha_monitor.health.alarms import NO_LIMIT, NOT_JUDGED, SEVERITY, WATCHED
-from eha_monitor.health.judge import DIAGNOSIS, MACHINE, MODEL_IN_FORCE, Finding
+from eha_monitor.health.judge import DIAGNOSIS, MACHINE, MISMATCH, MODEL_IN_FORCE, Finding
 from eha_monitor.quantity import SYMBOLS, Scale, number, readable, with_uncertainty
 from eha_monitor.settings import Settings
 from eha_monitor.words import probability
@@ -86,7 +86,7 @@ def overall(view: state.View) -> tuple[str, str]:
     data = view.findings.get("data")
     if not view.findings or (data is not None and data.level == "STALE"):
         return "STALE", level_text("STALE")
-    mismatch = [view.findings["model_mismatch"]] if "model_mismatch" in view.findings else []
+    mismatch = [view.findings[MISMATCH]] if MISMATCH in view.findings else []
     # Without a limit there is no level, and no OK.
     listed = [finding for finding in state.alarms(view) if finding.message != NO_LIMIT]
     judged = [finding for finding in listed if finding.word not in ("STALE", NOT_JUDGED)]

@@ -57,16 +57,11 @@ class Comparison:
         self.findings: list[Finding] = comparison_findings(None, "", len(known.sources))
         self._healthy = len(known.sources)
         self._running: Diagnosing | None = None
-        self._saving = False
+        self.saving = False  # its recording
         self._compared = (0.0, 0, "")  # as what was due
         self._begins = 0  # log time of the rows that are compared, ns
         self._changed: set[str] = set()
         self.reset()
-
-    @property
-    def saving(self) -> bool:
-        """Whether its recording is being saved."""
-        return self._saving
 
     @property
     def under_way(self) -> bool:
@@ -114,16 +109,16 @@ class Comparison:
         enough = self._settings.diagnosis.after * (2.0 if self._again else 1.0)
         if self._due is not None and now_s - self._due[0] >= enough:
             COMPARING.take(self)
-            self._saving, self._last_s, self._compared = True, now_s, self._due
+            self.saving, self._last_s, self._compared = True, now_s, self._due
             latest = self._log_ns(now_s - max(LATEST_S, enough))
             begins = self._due[1] + (round(1e9 * MOVES_S) if self._again else 0)
             self._begins = max(begins, latest)
             self._keeper.save_since(self._begins, self._saved)
 
     def _saved(self, bag: Saved) -> None:
-        if not self._saving:
+        if not self.saving:
             return
-        self._saving = False
+        self.saving = False
         try:
             if bag.problem is not None:
                 raise InputError(bag.problem)
@@ -178,7 +173,7 @@ class Comparison:
         if self._running is not None:
             self._running.end()
         COMPARING.give_back(self)
-        self._running, self._saving, self._due, self._again = None, False, None, False
+        self._running, self.saving, self._due, self._again = None, False, None, False
 
 
 def _moved(before: tuple[float, float], now: tuple[float, float]) -> bool:

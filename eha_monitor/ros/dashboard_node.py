@@ -80,10 +80,6 @@ class Listener:
                 findings_of(message)), LATCHED)
         node.create_service(Trigger, "dashboard/acknowledge", self._on_acknowledge)
 
-    def close(self) -> None:
-        """End the subscription that is not the node's own."""
-        self.measured.close()
-
     def _take_measured(self) -> None:
         messages, _, _ = self.measured.take()
         if not messages:
@@ -176,7 +172,7 @@ def run_dashboard(config: Path | None, ros_args: list[str], served: Served,
             node = open_.enter_context(running.node("dashboard", settings.monitor.namespace))
             settings = settings_of_node(node, settings)
             heard = Listener(node, settings, source, log)
-            open_.callback(heard.close)
+            open_.callback(heard.measured.close)  # it is not the node's own
             nodes.append((node, settings))
             shown[settings.rig.name] = Actuator(
                 settings.rig.name, node.get_namespace(), node.context.get_domain_id(),

@@ -18,7 +18,7 @@ from eha_monitor.recordings.read import read_recording
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.recordings.write import BagWriter
 from eha_monitor.ros import running
-from eha_monitor.ros.messages import stamp
+from eha_monitor.ros.messages import joint_state
 from eha_monitor.ros.parameters import with_namespace
 from eha_monitor.ros.subscriptions import TopicInput
 from eha_monitor.ros.topics import OUTPUT_QOS, topics_of
@@ -120,10 +120,12 @@ class RosRig:
 
     def run(self, x_d: np.ndarray, name: str) -> Ran:
         """Run a demand; see :meth:`Rig.run`."""
+        noise = self._settings.noise
         now = self._node.get_clock().now().nanoseconds
         job = Job(x_d, now + self._lead_ns, now + self._lead_ns + len(x_d) * self._dt_ns
                   + round(TAIL * 1e9),
-                  Watch(self._bounds, self._settings.rig.sample_time, self._noise()))
+                  Watch(self._bounds, self._settings.rig.sample_time,
+                        max(noise.position, noise.position_resolution)))
         self._heard = dict.fromkeys(self._heard, time.monotonic())
         self._job = job
         while not job.done.wait(1.0):
@@ -160,20 +162,14 @@ class RosRig:
         job.end_ns = now + round(HELD * 1e9)
         return True
 
-    def _noise(self) -> float:
-        noise = self._settings.noise
-        return max(noise.position, noise.position_resolution)
-
     def _hold(self, position: float, now: int) -> None:
         """Command a position from now on; commands that were sent for later are no more."""
         self._demanded, self._told = position, time.monotonic()
         self._send(position, now)
 
     def _send(self, position: float, stamp_ns: int) -> None:
-        message = JointState(name=[self._name], position=[position])
-        message.header.stamp = stamp(stamp_ns)
-        message.header.frame_id = self._settings.frame_id
-        self._publisher.publish(message)
+        self._publisher.publish(joint_state(stamp_ns, self._name, position, np.nan,
+                                            self._settings.frame_id))
 
     def _turn(self) -> None:
         """Look at what came, send what is due."""

@@ -19,7 +19,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
 
 from eha_monitor.estimation.results import ModelStatus, ParameterEstimate
-from eha_monitor.health.alarms import WATCHED, Alarm
+from eha_monitor.health.alarms import WATCHED
 from eha_monitor.health.judge import Finding
 from eha_monitor.ros.keeper import Keeper
 from eha_monitor.ros.topics import LATCHED, QUEUED
@@ -83,6 +83,10 @@ def estimates(time_ns: int, frame: str, found: Iterable[ParameterEstimate], mode
             level=LEVELS[level], name=f"{hardware}: {_SECTIONS[estimate.name]}",
             message=message, hardware_id=hardware,
             values=[KeyValue(key=key, value=value) for key, value in values.items()]))
+    return _array(time_ns, frame, statuses)
+
+
+def _array(time_ns: int, frame: str, statuses: list[DiagnosticStatus]) -> DiagnosticArray:
     message = DiagnosticArray(status=statuses)
     message.header.stamp, message.header.frame_id = stamp(time_ns), frame
     return message
@@ -101,20 +105,14 @@ def plain(value: float | int | str) -> str:
     return str(value) if isinstance(value, int) else f"{float(value):.6g}"
 
 
-def status(finding: Finding, hardware: str) -> DiagnosticStatus:
-    """Return one status; name and hardware_id stay the same, dashboards match on them."""
-    return DiagnosticStatus(
-        level=LEVELS[finding.level], name=f"{hardware}: {finding.name}",
-        message=finding.message, hardware_id=hardware,
-        values=[KeyValue(key=key, value=plain(value)) for key, value in finding.values.items()])
-
-
 def diagnostics(time_ns: int, findings: list[Finding], hardware: str, frame: str = ""
                 ) -> DiagnosticArray:
-    """Return all findings as one message."""
-    message = DiagnosticArray(status=[status(finding, hardware) for finding in findings])
-    message.header.stamp, message.header.frame_id = stamp(time_ns), frame
-    return message
+    """Return findings as one message; dashboards match on names and hardware_id, which stay."""
+    return _array(time_ns, frame, [DiagnosticStatus(
+        level=LEVELS[one.level], name=f"{hardware}: {one.name}", message=one.message,
+        hardware_id=hardware, values=[KeyValue(key=key, value=plain(value))
+                                      for key, value in one.values.items()])
+        for one in findings])
 
 
 def findings_of(message: DiagnosticArray) -> list[Finding]:
@@ -145,13 +143,6 @@ def subscribe_to_monitor(node: Node, take_number: Callable[[str, str, float], No
                     take_number(symbol, suffix, message.data), QUEUED)
     node.create_subscription(JointState, "monitor/joint_states", take_state, QUEUED)
     node.create_subscription(DiagnosticArray, "monitor/health", take_health, LATCHED)
-
-
-def alarm_finding(alarm: Alarm, values: dict[str, float]) -> Finding:
-    """Return an alarm as a finding, with the numbers that it was judged on."""
-    return Finding(alarm.name, alarm.level, alarm.message,
-                   {**values, "since_s": float(alarm.time_s),
-                    "not_judged": int(alarm.not_judged)})
 
 
 class Outputs:

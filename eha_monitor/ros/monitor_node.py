@@ -24,9 +24,6 @@ from eha_monitor.ros.findings import (
     DataState,
     all_findings,
     levels,
-    lost,
-    rates,
-    summary,
     unfed,
     with_bags,
 )
@@ -413,7 +410,8 @@ class Monitor:
 
     def _update_data(self) -> None:
         now = time.monotonic()
-        values = {"rows": self.aligner.rows} | rates(self.inputs, now)
+        values = {"rows": self.aligner.rows} | {
+            f"rate_{each.key}_Hz": each.rate(now) for each in self.inputs}
         if self._origin_ns is not None:
             values["first_stamp_ns"] = str(self._origin_ns)
         if {"p1", "p2"} & set(self.settings.channels):
@@ -437,7 +435,12 @@ class Monitor:
 
     def counts(self) -> dict[str, int]:
         """Return how much was lost or dropped since the start."""
-        return lost(self.aligner, self.watch, self.missing_samples)
+        sources = self.aligner.sources
+        return {"lost_messages": self.watch.missing,
+                "missing_samples": self.missing_samples,
+                "incomplete_rows": self.aligner.incomplete,
+                "late_or_repeated_stamps": sum(s.late + s.repeated for s in sources),
+                "jumped_stamps": sum(s.jumped for s in sources)}
 
     def _publish_health(self, only_changes: bool = False) -> None:
         snapshot = self._snapshot
@@ -454,4 +457,10 @@ class Monitor:
 
     def summary(self) -> str:
         """Return what was processed, lost and how late, in one line."""
-        return summary(self.aligner.rows, self.counts(), self.latency, self.processor)
+        lost = ", ".join(f"{key.replace('_', ' ')} {value}"
+                         for key, value in self.counts().items())
+        late = ", ".join(f"{key} {value:.2f} ms"
+                         for key, value in self.latency.percentiles().items())
+        return (f"rows {self.aligner.rows}; {lost}; latency from {self.latency.counts_from} to "
+                f"published {late or 'not measured'}; "
+                f"CPU share {100 * self.processor.total():.1f} %")

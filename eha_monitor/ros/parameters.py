@@ -266,22 +266,23 @@ def declare(node: Node, settings: Settings, keys: tuple[str, ...],
         return [p if p.name not in units else
                 Parameter(p.name, value=number_of(p.value, units[p.name])) for p in parameters]
 
-    def validate(parameters: list[Parameter]) -> SetParametersResult:
+    def changed(parameters: list[Parameter]) -> Settings | None:
+        """Return the settings with what changes, None where nothing of the config does."""
         changes = {p.name: p.value for p in parameters if not p.name.startswith(ROS_OWN)}
-        if not changes:
-            return SetParametersResult(successful=True)
+        return overridden(current[0], changes, "parameter") if changes else None
+
+    def validate(parameters: list[Parameter]) -> SetParametersResult:
         try:
-            overridden(current[0], changes, "parameter")
+            changed(parameters)
         except InputError as problem:
             return SetParametersResult(successful=False, reason=str(problem))
         return SetParametersResult(successful=True)
 
     def apply(parameters: list[Parameter]) -> None:
-        changes = {p.name: p.value for p in parameters if not p.name.startswith(ROS_OWN)}
-        if changes:
-            current[0] = overridden(current[0], changes, "parameter")
+        if (settings := changed(parameters)) is not None:
+            current[0] = settings
             if on_change is not None:
-                on_change(current[0])
+                on_change(settings)
 
     # Before rclpy compares the types: ``ros2 param set`` makes an integer of 5 and a text of 9e8.
     node.add_pre_set_parameters_callback(convert)

@@ -4,6 +4,7 @@ import importlib
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from rclpy.exceptions import InvalidTopicNameException
 from rclpy.node import Node
 from rclpy.qos import (
     DurabilityPolicy,
@@ -12,6 +13,7 @@ from rclpy.qos import (
     ReliabilityPolicy,
     qos_check_compatible,
 )
+from rclpy.validate_topic_name import validate_topic_name
 
 from eha_monitor.errors import InputError
 from eha_monitor.live.rows import Source
@@ -178,9 +180,6 @@ def check_topic(name: str) -> None:
     InputError
         One line with the name.
     """
-    from rclpy.exceptions import InvalidTopicNameException
-    from rclpy.validate_topic_name import validate_topic_name
-
     try:
         if not (name.isascii() and name.isprintable()):  # ROS reads up to a zero only
             raise ValueError(name)
