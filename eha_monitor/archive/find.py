@@ -52,9 +52,7 @@ def is_archive(path: Path, wanted: bool = False) -> bool:
 
 def find_bags(folder: Path) -> list[Place]:
     """Return the bags below a folder, by name; a folder that cannot be listed is one of them."""
-    found: dict[str, Place] = {}
-    for place in bags_below(folder, top=True):
-        found[place.name] = place
+    found = {place.name: place for place in bags_below(folder, top=True)}
     return [found[name] for name in sorted(found, key=natural)]
 
 

@@ -16,8 +16,8 @@ from itertools import islice
 from pathlib import Path
 
 from eha_monitor.errors import InputError
-from eha_monitor.health.alarms import ALARM_NAMES, NOT_JUDGED, SEVERITY
-from eha_monitor.health.judge import DIAGNOSIS, MISMATCH, Finding
+from eha_monitor.health.alarms import ALARM_NAMES, NOT_JUDGED
+from eha_monitor.health.judge import DIAGNOSIS, MISMATCH, SEVERITY, Finding
 from eha_monitor.output import write_bytes
 
 QUALITY = "data quality"

@@ -11,6 +11,7 @@ from eha_monitor.dashboard.detail import Detail, Level, button, heading, tagged,
 from eha_monitor.dashboard.events import QUALITY, EventLog
 from eha_monitor.dashboard.state import CHOICES, Actuator, Span, View
 from eha_monitor.health.alarms import WATCHED
+from eha_monitor.health.judge import SEVERITY
 
 STYLE, SCRIPT = (Path(__file__).with_name(f"page.{kind}") for kind in ("css", "js"))
 # How often numbers and words are looked up, and how often the charts are drawn, s.
@@ -176,7 +177,7 @@ class Page:
     def _refresh_title(self, views: dict[str, View]) -> None:
         """Say in the browser's tab what is worst and whether it asks for somebody."""
         asks = sum(len(words.waiting(view)) for view in views.values())
-        worst = max((words.overall(view)[0] for view in views.values()), key=words.rank)
+        worst = max((words.overall(view)[0] for view in views.values()), key=SEVERITY.index)
         title = (f"({asks}) " if asks else "") + f"{words.level_text(worst)}: " + (
             self.chosen if len(views) == 1 else f"{len(views)} actuators")
         if title != self._title:

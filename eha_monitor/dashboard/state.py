@@ -21,8 +21,8 @@ from eha_monitor.dashboard.events import (
     write_acknowledgements,
 )
 from eha_monitor.errors import InputError
-from eha_monitor.health.alarms import ALARM_NAMES, SEVERITY, WATCHED
-from eha_monitor.health.judge import Finding
+from eha_monitor.health.alarms import ALARM_NAMES, WATCHED
+from eha_monitor.health.judge import SEVERITY, Finding
 from eha_monitor.settings import Settings
 
 Row = tuple[float, ...]

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from datetime import datetime
 
 from eha_monitor.dashboard import state
-from eha_monitor.dashboard.events import ACKNOWLEDGED
+from eha_monitor.dashboard.events import ACKNOWLEDGED, MISMATCH
 from eha_monitor.estimation.results import units_of
-from eha_monitor.health.alarms import NO_LIMIT, NOT_JUDGED, SEVERITY, WATCHED
-from eha_monitor.health.judge import DIAGNOSIS, MACHINE, MISMATCH, MODEL_IN_FORCE, Finding
+from eha_monitor.health.alarms import NO_LIMIT, NOT_JUDGED, WATCHED
+from eha_monitor.health.judge import DIAGNOSIS, MACHINE, MODEL_IN_FORCE, SEVERITY, Finding
 from eha_monitor.quantity import SYMBOLS, Scale, number, readable, with_uncertainty
 from eha_monitor.settings import Settings
 from eha_monitor.words import probability
@@ -97,11 +97,6 @@ def overall(view: state.View) -> tuple[str, str]:
     level = worst([*judged, *held, *(one for one in mismatch if one.level != "STALE")])
     left = len(listed) - len(judged)
     return level, level_text(level) + (f", {left} of {len(listed)} not judged" if left else "")
-
-
-def rank(level: str) -> int:
-    """Return how much a level counts; without data counts more than fine, less than a warning."""
-    return SEVERITY.index(level)
 
 
 def short(symbol: str, number: Shown) -> str:

@@ -28,12 +28,10 @@ from eha_monitor.health.judge import (
     NO_LIMIT,
     NOT_JUDGED,
     RAISED,
-    SEVERITY,
     UNKNOWN,
     Alarm,
     Doubt,
     Judge,
-    Level,
     Rebase,
     Watched,
 )
@@ -42,17 +40,6 @@ from eha_monitor.quantity import quantity, share, with_uncertainty
 from eha_monitor.recordings.columns import blocks, chosen
 from eha_monitor.settings.monitor import Settings
 
-__all__ = [
-    "ALARM_NAMES",
-    "NOT_JUDGED",
-    "NO_LIMIT",
-    "SEVERITY",
-    "WATCHED",
-    "Alarm",
-    "AlarmBoard",
-    "Level",
-    "Watched",
-]
 ADVICE = "run `eha-monitor diagnose` on a recording to identify the cause"
 
 BALANCES = {"B": "force", "beta_e": "flow"}  # of the least squares that determine each
@@ -135,7 +122,8 @@ class AlarmBoard:
         """
         # Nothing is known about a limit while no data came: the hold time starts anew.
         if self._last is not None and not 0 <= time_s - self._last <= self._longest_step:
-            self._forget()
+            for judge in self._judges:
+                judge.forget()
         self._last = time_s
         changed, now = [], {}
         for symbol in self._rebase:
@@ -157,10 +145,6 @@ class AlarmBoard:
                 changed.append(self._alarm(judge))
         self.history += changed
         return changed
-
-    def _forget(self) -> None:
-        for judge in self._judges:
-            judge.forget()
 
     def _take_stale(self, judge: Judge, time_s: float, reason: str) -> bool:
         if judge.off:
@@ -307,6 +291,13 @@ class ParameterSeries:
     # that from values and standard deviations
     converged: np.ndarray | Callable[[np.ndarray, np.ndarray], np.ndarray]
 
+    def at(self, index: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return of rows ``index`` (k,) whether they are judged, the values and deviations."""
+        value, stddev = chosen(self.value, index), chosen(self.stddev, index)
+        known = (self.converged(value, stddev) if callable(self.converged)
+                 else chosen(self.converged, index))
+        return np.isfinite(value) & np.isfinite(stddev) & known, value, stddev
+
 
 def judge_series(settings: Settings, time: np.ndarray, parameters: dict[str, ParameterSeries],
                  temperature: np.ndarray | None = None, measured: np.ndarray | None = None,
@@ -385,12 +376,8 @@ def _trials(trials: dict[str, Trial], time_s: float, row: dict[str, ParameterEst
 
 def _columns(series: ParameterSeries, index: np.ndarray) -> tuple[list, list, list]:
     if series.final.status == "no_data" or len(series.value) == 0:
-        empty = [False] * len(index), [float("nan")] * len(index), [float("nan")] * len(index)
-        return empty
-    value, stddev = chosen(series.value, index), chosen(series.stddev, index)
-    known = (series.converged(value, stddev) if callable(series.converged)
-             else chosen(series.converged, index))
-    judged = np.isfinite(value) & np.isfinite(stddev) & known
+        return [False] * len(index), [math.nan] * len(index), [math.nan] * len(index)
+    judged, value, stddev = series.at(index)
     return judged.tolist(), value.tolist(), stddev.tolist()
 
 

@@ -13,15 +13,16 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import stdtr, stdtrit
 
-from eha_monitor.health.alarms import JUDGE_RATE, ParameterSeries, carried
+from eha_monitor.health.alarms import JUDGE_RATE, WATCHED, ParameterSeries, carried
 from eha_monitor.indicators.laws import viscosity_factor
 from eha_monitor.settings.monitor import LIMITS, Settings, Thresholds
 
 UNLIKE = 0.01  # chance, over all recordings, at which one counts as unlike the others
 ERROR_SHARE = 0.1  # of the WARN rate, the rate of an ERROR
 SIDES = {"B": ("low", "high"), "beta_e": ("low",)}
-SECTIONS = {"B": "viscous_damping", "beta_e": "bulk_modulus"}
+SECTIONS = {watched.symbol: watched.section for watched in WATCHED}
 NOMINAL = {"B": 600.0, "beta_e": 6e8}  # of the paper, which its limits are set around
 FARTHEST = math.log(1e3)  # a limit that lies farther off is none
 WIDE = 3.0  # times the mean: a limit farther off watches nothing and needs more recordings
@@ -91,9 +92,7 @@ def healthy_of(source: str, symbol: str, time: np.ndarray, series: ParameterSeri
         return None
     stride = max(1, round(1.0 / (JUDGE_RATE * float(np.median(np.diff(time))))))
     index = np.arange(len(time) - 1, -1, -stride)[::-1]
-    value, stddev = series.value[index], series.stddev[index]
-    known = (series.converged(value, stddev) if callable(series.converged)
-             else series.converged[index]) & np.isfinite(value) & np.isfinite(stddev)
+    known, value, stddev = series.at(index)
     factor = np.ones(len(index))
     if symbol == "B" and temperature is not None:
         factor = np.array([viscosity_factor(settings.viscosity, degrees)
@@ -164,8 +163,6 @@ def _extremes(side: str, healthy: list[Healthy]) -> tuple[float, float]:
 
 def implied(side: str, healthy: list[Healthy], limit: float) -> float:
     """Return the share of healthy recordings that would raise an alarm at a limit."""
-    from scipy.special import stdtr
-
     middle, spread = _extremes(side, healthy)
     away = (middle - math.log(limit)) * (1.0 if side == "low" else -1.0) / spread
     return float(stdtr(len(healthy) - 1, -away))
@@ -173,15 +170,11 @@ def implied(side: str, healthy: list[Healthy], limit: float) -> float:
 
 def _t(rate: float, n: int) -> float:
     """Return the distance in Student's distribution beyond which lies a share ``rate``."""
-    from scipy.special import stdtrit
-
     return -float(stdtrit(n - 1, rate))
 
 
 def _unlike(healthy: list[Healthy]) -> tuple[tuple[str, float], ...]:
     """Return the recordings that are no likely draw of what the others are drawn from."""
-    from scipy.special import stdtr
-
     logs, n = np.log([one.value for one in healthy]), len(healthy)
     if n < 3:
         return ()

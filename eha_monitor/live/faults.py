@@ -242,27 +242,6 @@ class Stillness:
         return moved > PART * covered
 
 
-class Sentences:
-    """Sentences by key, each standing for ``HELD_S`` after it was last noted."""
-
-    def __init__(self):
-        self._noted: dict[str, tuple[float, str]] = {}
-
-    def note(self, key: str, now: float, sentence: str) -> None:
-        """Take a sentence; a newer one of the same key replaces it."""
-        self._noted[key] = (now, sentence)
-
-    def standing(self, now: float, without: Collection[str] = ()) -> list[str]:
-        """Return the sentences that stand, in the order in which they first came.
-
-        ``without`` leaves out kinds, the first words of keys.
-        """
-        self._noted = {key: (at, text) for key, (at, text) in self._noted.items()
-                       if now - at <= HELD_S}
-        return [text for key, (_, text) in self._noted.items()
-                if key.partition(" ")[0] not in without]
-
-
 @dataclass
 class _Past:
     """One source as it was at the last look."""
@@ -297,7 +276,7 @@ class FaultWatch:
                  rotary: bool = False):
         self._sources, self._sample_time, self._latency = sources, sample_time, latency
         self._past = {source.name: _Past() for source in sources}
-        self._sentences = Sentences()
+        self._noted: dict[str, tuple[float, str]] = {}  # when last, and the sentence, by key
         self.stillness = Stillness()
         self.missing = 0
         self._looked = False
@@ -349,18 +328,19 @@ class FaultWatch:
             past.behind, past.at = math.nan, -math.inf
         self.stillness = Stillness()
 
-    @property
-    def frozen(self) -> bool:
-        """Whether a channel is frozen now."""
-        return bool(self.stillness.frozen)
-
     def note(self, key: str, now: float, sentence: str) -> None:
-        """Take a sentence that somebody else found."""
-        self._sentences.note(key, now, sentence)
+        """Take a sentence; a newer one of the same key replaces it."""
+        self._noted[key] = (now, sentence)
 
     def sentences(self, now: float, without: Collection[str] = ()) -> list[str]:
-        """Return what stands at ``now`` (s, monotonic), see :meth:`Sentences.standing`."""
-        return self._sentences.standing(now, without)
+        """Return what stands at ``now`` (s, monotonic), in the order in which it first came.
+
+        ``without`` leaves out kinds, the first words of keys.
+        """
+        self._noted = {key: (at, text) for key, (at, text) in self._noted.items()
+                       if now - at <= HELD_S}
+        return [text for key, (_, text) in self._noted.items()
+                if key.partition(" ")[0] not in without]
 
     def look(self, now: float) -> dict[str, int]:
         """Compare with the last look; return channels found frozen now, and since when, ns.

@@ -60,15 +60,10 @@ class LiveBuffer:
         self.end = 0
         self.seen: set[str] = set(seen)
 
-    @property
-    def at_once(self) -> int:
-        """How many rows may be written at a time."""
-        return max(self.length // 4, 1)
-
     def write(self, numbers: np.ndarray, columns: dict[str, np.ndarray]) -> None:
         """Write rows of rising ``numbers``, the first no earlier than the last one.
 
-        Rows between stay NaN, and so does what is NaN or beyond all sensors.
+        Not more than ``length``; rows between stay NaN, as what is NaN or beyond all sensors.
         """
         last = int(numbers[-1])
         if last - self.first >= 2 * self.length:
@@ -138,7 +133,7 @@ class Grid:
             # The same place again: the nearer one stands, else the first, if not yet filtered.
             if numbers[0] >= end or (numbers[0] == end - 1 >= taken
                                      and off[0] < self._off - NEARER):
-                steps = np.diff(numbers[: buffer.at_once])
+                steps = np.diff(numbers[: max(buffer.length // 4, 1)])
                 breaks = np.flatnonzero((steps <= 0) | (steps > long))
                 count = int(breaks[0]) + 1 if len(breaks) else len(steps) + 1
                 buffer.write(numbers[:count], {

@@ -11,7 +11,7 @@ whole; else sample by sample in the order in which they came.
 
 import math
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
 
 import numpy as np
@@ -134,13 +134,6 @@ class Rows:
 
     def __len__(self) -> int:
         return len(self.stamps)
-
-    def __iter__(self) -> Iterator[tuple[int, dict[str, float], float]]:
-        """Yield row by row: stamp, the channels that have a value, when it came."""
-        for k in range(len(self)):
-            row = {name: float(values[k]) for name, values in self.columns.items()}
-            yield int(self.stamps[k]), {name: value for name, value in row.items()
-                                        if math.isfinite(value)}, float(self.came[k])
 
     def part(self, start: int, stop: int) -> "Rows":
         """Return rows ``start`` to ``stop``."""

@@ -309,7 +309,7 @@ class Monitor:
 
     def _note_diverged(self, parameters: dict[str, ParameterEstimate]) -> None:
         """Note since when a parameter has been diverged on data without a fault."""
-        faulty = self.watch.frozen or bool(self.watch.sentences(time.monotonic()))
+        faulty = bool(self.watch.stillness.frozen) or bool(self.watch.sentences(time.monotonic()))
         now = {symbol for symbol, estimate in parameters.items() if estimate.status == "diverged"}
         self._diverged = {symbol: self._row_ns if faulty else min(
             self._diverged.get(symbol, self._row_ns), self._row_ns) for symbol in now}
