@@ -50,15 +50,10 @@ class Event(Change):
 
 
 class EventLog:
-    """The events of all actuators, in the order in which they came; a bounded number is kept.
-
-    Attributes
-    ----------
-    count : of all events that ever came.
-    """
+    """The events of all actuators, in the order in which they came; a bounded number is kept."""
 
     def __init__(self):
-        self.count = 0
+        self.count = 0  # of all events that ever came
         self._events: deque[Event] = deque(maxlen=MOST)
         self._lock = threading.Lock()
 

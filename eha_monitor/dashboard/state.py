@@ -117,16 +117,11 @@ SHORTEST = 1.0
 
 
 class Span:
-    """The choice of one page.
-
-    Attributes
-    ----------
-    choice : one of ``CHOICES``; it counts while nothing is zoomed.
-    zoom : the stretch that was dragged, time of day, s; None while the charts follow the data.
-    """
+    """The choice of one page."""
 
     def __init__(self):
-        self.choice = FIRST
+        self.choice = FIRST  # one of ``CHOICES``; it counts while nothing is zoomed
+        # the stretch that was dragged, time of day, s; None while the charts follow the data
         self.zoom: tuple[float, float] | None = None
 
     def choose(self, choice: str) -> None:

@@ -72,13 +72,10 @@ class AlarmBoard:
     Parameters
     ----------
     settings : thresholds, viscosity and ``monitor.stale_after`` are read.
-
-    Attributes
-    ----------
-    history : every change of a level so far, the first one of each alarm included.
     """
 
     def __init__(self, settings: Settings):
+        # every change of a level so far, the first one of each alarm included
         self.history: list[Alarm] = []
         self._units = units_of(settings.rig.motion)
         watched = [replace(w, unit=self._units[w.symbol]) for w in WATCHED]

@@ -44,11 +44,6 @@ class LoadWatch:
     Parameters
     ----------
     stale_after : older data count as stale, s.
-
-    Attributes
-    ----------
-    behind : age of the oldest message that waits, s.
-    share : of the samples of the last seconds, how many are missing.
     """
 
     def __init__(self, stale_after: float):
@@ -56,8 +51,8 @@ class LoadWatch:
         self._looks: deque[tuple[float, int, int]] = deque()
         self._held_up = -float("inf")  # when last it was known to be behind or not to have run
         self._before = 0.0
-        self.behind = 0.0
-        self.share = 0.0
+        self.behind = 0.0  # age of the oldest message that waits, s
+        self.share = 0.0  # of the samples of the last seconds, how many are missing
 
     def look(self, now: float, rows: int, missing: int, behind: float, away: float) -> None:
         """Take the state some times a second.

@@ -314,16 +314,13 @@ class Planner:
     bounds : complete limits; ``source`` names the config in errors.
     wanted : probability at which a structure stands.
     choose : among what is allowed; :func:`most_decisive` by default.
-
-    Attributes
-    ----------
-    binding : how often which limit left no size of a motion.
     """
 
     def __init__(self, settings: Settings, bounds: Bounds, source: str, wanted: float = 0.95,
                  choose: Choice | None = None):
         rig = settings.rig
         self.settings, self.bounds, self.source = settings, bounds, source
+        # binding: how often which limit left no size of a motion
         self.wanted, self.binding = wanted, Counter()
         self.choose = choose or most_decisive
         per_speed = rig.area_1 / rig.pump_displacement

@@ -106,15 +106,11 @@ class Turns:
 
 
 class Handover:
-    """The damping that stage two takes, and when it is worth a run over the buffer.
-
-    Attributes
-    ----------
-    damping : value and standard deviation, N·m·s/rad or N·s/m; None before the first.
-    """
+    """The damping that stage two takes, and when it is worth a run over the buffer."""
 
     def __init__(self, settings: Settings):
         self.settings = settings
+        # value and standard deviation, N·m·s/rad or N·s/m; None before the first
         self.damping: tuple[float, float] | None = None
         self._given_at = -math.inf
         self._weak = Backoff(*WEAK_S)
@@ -155,20 +151,15 @@ class Handover:
 
 
 class LiveHold:
-    """Whether the drive holds its command, as the rows show; continuous until they do.
-
-    Attributes
-    ----------
-    settings : with the hold in force; replaced, never changed in place.
-    sentence : what the rows say, "" before they do, or where the config says it.
-    apart : relative difference that it makes to beta_e while nothing tells the holds apart.
-    """
+    """Whether the drive holds its command, as the rows show; continuous until they do."""
 
     def __init__(self, settings: Settings):
         self._given = settings
         self._known = settings.command_hold != AUTO
+        # with the hold in force; replaced, never changed in place
         self.settings = settings if self._known else with_hold(settings, CONTINUOUS)
-        self.sentence = ""
+        self.sentence = ""  # what the rows say, "" before they do, or where the config says it
+        # relative difference that it makes to beta_e while nothing tells the holds apart
         self.apart = 0.0
         self._backoff = Backoff(*HOLD_S)
 
@@ -198,16 +189,11 @@ class LiveHold:
 
 
 class LivePlausibility:
-    """What the rows say about signs, units and channels.
-
-    Attributes
-    ----------
-    found : what the last look gave.
-    """
+    """What the rows say about signs, units and channels."""
 
     def __init__(self, settings: Settings):
         self._settings = settings
-        self.found = Plausibility()
+        self.found = Plausibility()  # what the last look gave
         self._backoff = Backoff(*PLAUSIBLE_S)
 
     def examine(self, now: float, rows: Recording) -> str | None:
@@ -266,27 +252,22 @@ class Fit:
 
 
 class LiveModel:
-    """What the live estimator knows about its own model.
-
-    Attributes
-    ----------
-    verdicts : on the last window of each stage that could be judged, None before there was one
-        and once it is ``REMEMBERED_S`` old.
-    first : row from which on a stage is judged; what came before was explained otherwise.
-    trying : when to ask whether the last window fits again.
-    looks : least squares on the balances while a mismatch stands, the last ``LOOK_S`` of them.
-    """
+    """What the live estimator knows about its own model."""
 
     def __init__(self, settings: Settings):
         self.settings = settings
         self.watches = {stage: StageWatch(stage) for stage in STAGES}
+        # on the last window of each stage that could be judged, None before there was one and once
+        # it is ``REMEMBERED_S`` old
         self.verdicts: dict[str, Consistency | None] = dict.fromkeys(STAGES)
+        # row from which on a stage is judged; what came before was explained otherwise
         self.first = dict.fromkeys(STAGES, 0)
         self.judged_at = 0
         self._judged_s = dict.fromkeys(STAGES, -math.inf)
         self._trials = {name: Trial(units_of(settings.rig.motion)[name])
                         for name in (stage.parameter for stage in STAGES.values())}
-        self.trying = Backoff(*TRY_EVERY_S)
+        self.trying = Backoff(*TRY_EVERY_S)  # when to ask whether the last window fits again
+        # least squares on the balances while a mismatch stands, the last ``LOOK_S`` of them
         self.looks: tuple[Beside, ...] = ()
 
     def restart_rows(self) -> None:

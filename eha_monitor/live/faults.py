@@ -120,18 +120,13 @@ class Leaps:
 
 
 class Stillness:
-    """Since when each channel has not changed.
-
-    Attributes
-    ----------
-    rows, counts : rows taken, and those that held each channel.
-    frozen : the channels that are.
-    """
+    """Since when each channel has not changed."""
 
     def __init__(self):
+        # rows, counts: rows taken, and those that held each channel
         self.rows = 0
         self.counts: dict[str, int] = {}
-        self.frozen: set[str] = set()
+        self.frozen: set[str] = set()  # the channels that are
         self._last: dict[str, float] = {}
         self._seen: dict[str, int] = {}  # stamp of the last value, ns
         self._changed: dict[str, int] = {}  # stamp of the last change, ns
@@ -265,11 +260,6 @@ class FaultWatch:
     sample_time : as configured, s.
     latency : how long a row waits for its last channel, s.
     rotary : whether the position is an angle.
-
-    Attributes
-    ----------
-    stillness : of each channel's value; takes the rows.
-    missing : samples that lack between the stamps, of all sources.
     """
 
     def __init__(self, sources: list[Source], sample_time: float, latency: float,
@@ -277,8 +267,8 @@ class FaultWatch:
         self._sources, self._sample_time, self._latency = sources, sample_time, latency
         self._past = {source.name: _Past() for source in sources}
         self._noted: dict[str, tuple[float, str]] = {}  # when last, and the sentence, by key
-        self.stillness = Stillness()
-        self.missing = 0
+        self.stillness = Stillness()  # of each channel's value; takes the rows
+        self.missing = 0  # samples that lack between the stamps, of all sources
         self._looked = False
         self._no_values: dict[str, str] = {}  # sentence of values left out since the last look
         self._left_out: dict[str, int] = {}  # channel -> how many values, since the last look

@@ -150,23 +150,20 @@ class RowAligner:
     sources : the streams; exactly one holds the channel ``x`` and gives the rows their stamps.
     latency : how long a row waits for its last channel, s; also the longest span that is
         interpolated.
-
-    Attributes
-    ----------
-    rows, incomplete : rows given out, and those among them that lacked a channel of a source
-        that was not silent.
-    reset_reason : why the rows start anew, until :meth:`take_reset` is called; else None.
     """
 
     def __init__(self, sources: list[Source], latency: float):
         self.sources = sources
         self.latency = latency
+        # rows, incomplete: rows given out, and those among them that lacked a channel of a source
+        # that was not silent
         self.rows = self.incomplete = 0
         self._span_ns = round(latency * 1e9)
         self._leader = next(s for s in sources if "x" in s.channels)
         self._followers = [s for s in sources if s is not self._leader]
         self._names = [name for s in (self._leader, *self._followers) for name in s.channels]
         self._before: list[Rows] = []  # the clock jumped back
+        # why the rows start anew, until :meth:`take_reset` is called; else None
         self.reset_reason: str | None = None
 
     def take(self, batches: Sequence[Batch]) -> None:

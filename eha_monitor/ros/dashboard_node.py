@@ -51,19 +51,16 @@ class Listener:
     settings : validated config.
     source : name of the config in errors.
     log : takes what changes.
-
-    Attributes
-    ----------
-    state : what was heard.
-    topics : full names of the topics, by the keys of ``View.silence``.
     """
 
     def __init__(self, node: Node, settings: Settings, source: str = "config",
                  log: EventLog | None = None):
+        # what was heard
         self.state = State(settings, time.time, log, Path(settings.monitor.save_folder)
                            / f"{plain_name(settings.rig.name)}_acknowledged.json")
         name = node.resolve_topic_name
         measured = position_topic(settings, source, name)
+        # full names of the topics, by the keys of ``View.silence``
         self.topics = {"measured": name(measured.name),
                        "estimates": ", ".join(name(f"monitor/{w.section}") for w in WATCHED),
                        "estimated": name("monitor/joint_states"),

@@ -67,22 +67,17 @@ def types_of_class(type_name: str) -> dict:
 
 
 class Stream:
-    """What is read of one entry of a topic.
-
-    Attributes
-    ----------
-    problem : why the last message gave nothing, as a sentence, or None.
-    absent : what came in place of an entry that has messages of its own, as a sentence, or None.
-    unfit : why messages of this type give nothing, as a sentence, or None.
-    seen : a message held the entry.
-    """
+    """What is read of one entry of a topic."""
 
     def __init__(self, entry: Entry):
         self.entry = entry
+        # why the last message gave nothing, as a sentence, or None
         self.problem: str | None = None
+        # what came in place of an entry that has messages of its own, as a sentence, or None
         self.absent: str | None = None
+        # why messages of this type give nothing, as a sentence, or None
         self.unfit: str | None = None
-        self.seen = False
+        self.seen = False  # a message held the entry
         self._since = 0  # messages without it since the last with it
 
     def not_of(self, type_name: str, fields: Collection[str]) -> None:
@@ -140,12 +135,6 @@ class TopicReader:
     type_name : type of its messages.
     streams : one for each entry; they keep what is wrong with it.
 
-    Attributes
-    ----------
-    kind : class of the messages.
-    stamps : (n,) ns, of the messages read last.
-    zero_stamps : messages so far whose stamp was zero.
-
     Raises
     ------
     InputError
@@ -153,15 +142,15 @@ class TopicReader:
     """
 
     def __init__(self, topic: Topic, type_name: str, streams: Sequence[Stream]):
-        self.kind = message_class(type_name)
+        self.kind = message_class(type_name)  # class of the messages
         self._types, self._type = types_of_class(type_name), type_name
         self._stamped = has_stamp(self._types, type_name)
         self._named = has_names(self._types, type_name)
         self._streams = streams
         self._wants = [stream.wants(self._named) for stream in streams]
         self._layouts: list[Layout] = []
-        self.zero_stamps = 0
-        self.stamps = np.empty(0, dtype=np.int64)
+        self.zero_stamps = 0  # messages so far whose stamp was zero
+        self.stamps = np.empty(0, dtype=np.int64)  # (n,) ns, of the messages read last
         self._by_receipt(not self._stamped)
         has = {name for name, _ in self._types[type_name][1]}
         for stream in streams:

@@ -27,12 +27,6 @@ class Keeper:
     node : node in the namespace of the topics.
     settings : validated config; ``monitor.buffer_minutes`` = 0 keeps nothing.
     tell : called when there is news of a bag.
-
-    Attributes
-    ----------
-    last : what came of the last attempt, or None.
-    bags : by name of an alarm, the bag of the moment in which it was raised last; "" while that
-        bag is due.
     """
 
     def __init__(self, node: Node, settings: Settings, tell: Callable[[], None]):
@@ -48,9 +42,11 @@ class Keeper:
         self._asked = False
         self._part: tuple[int, Callable[[Saved], None]] | None = None  # to be written
         self._part_told: Callable[[Saved], None] | None = None  # that is being written
+        # by name of an alarm, the bag of the moment in which it was raised last; "" while that bag
+        # is due
         self.bags: dict[str, str] = {}
         self._written: list[str] = []  # alarms of which the bag is being written
-        self.last: Saved | None = None
+        self.last: Saved | None = None  # what came of the last attempt, or None
         self._last_good: Saved | None = None
         self._service = LateTrigger(node, "monitor/save", self._on_request)
         self._timer = node.create_timer(POLL_PERIOD, self.poll,

@@ -56,21 +56,15 @@ class ManagedMonitor(running.WithoutEvents, LifecycleNode):
     source : name of the config in errors.
     name : of the node.
     estimator_factory : see :class:`Monitor`.
-
-    Attributes
-    ----------
-    monitor : while configured, else None.
-    failure : what the last transition failed of, or None.
-    ended : whether it has been shut down.
     """
 
     def __init__(self, settings: Settings, source: str = "config", name: str = "monitor",
                  estimator_factory: Callable[[Settings], object] | None = None):
         super().__init__(name, namespace=settings.monitor.namespace,
                          automatically_declare_parameters_from_overrides=True)
-        self.monitor: Monitor | None = None
-        self.failure: Exception | None = None
-        self.ended = False
+        self.monitor: Monitor | None = None  # while configured, else None
+        self.failure: Exception | None = None  # what the last transition failed of, or None
+        self.ended = False  # whether it has been shut down
         self._source, self._factory = source, estimator_factory
         self._summary = "was not active"
         self.settings = settings_of_node(self, settings)

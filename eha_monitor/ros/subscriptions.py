@@ -42,30 +42,24 @@ class TopicInput:
     node : node to subscribe with.
     topic : topic and the streams it carries.
     qos : of the subscription.
-
-    Attributes
-    ----------
-    key : of the topic in the diagnostics: its name in the config, or that of a remap.
-    channels : that it brings.
-    leads : whether the position is one of them, which stamps the rows.
-    messages : how many came.
-    type : of the messages, such as ``sensor_msgs/msg/JointState``; None before it is known.
-    reader : of messages of that type.
-    waits : whether more were waiting than could be taken the last time.
     """
 
     def __init__(self, node: Node, topic: Topic, qos: QoSProfile = INPUT_QOS):
         self.topic = topic
+        # that it brings
         self.channels = frozenset(name for entry in topic.entries
                                   for name in entry.source.channels)
+        # whether the position is one of them, which stamps the rows
         self.leads = "x" in self.channels
         own = f"{node.get_namespace().rstrip('/')}/{topic.name}"
+        # of the topic in the diagnostics: its name in the config, or that of a remap
         self.key = (topic.name if topic.full_name in (own, topic.name) else
                     topic.full_name).strip("/").replace("/", "_")
-        self.messages = 0
+        self.messages = 0  # how many came
+        # of the messages, such as ``sensor_msgs/msg/JointState``; None before it is known
         self.type: str | None = None
-        self.waits = False
-        self.reader: TopicReader | None = None
+        self.waits = False  # whether more were waiting than could be taken the last time
+        self.reader: TopicReader | None = None  # of messages of that type
         self._node, self._qos = node, qos
         self._streams = [Stream(entry) for entry in topic.entries]
         self._subscription = None
@@ -172,10 +166,6 @@ class Drain:
     inputs : the topics.
     aligner : takes the samples.
     keeper : keeps the messages as they came.
-
-    Attributes
-    ----------
-    oldest : age of the oldest message when it was worked on, s, the worst since :meth:`look`.
     """
 
     def __init__(self, node: Node, inputs: list[TopicInput], aligner: RowAligner,
@@ -185,6 +175,7 @@ class Drain:
         self._stream = cache(keeper.stream)
         self._dating = Dating()  # by the position, which is taken first
         self._transport = np.inf  # the least from sending to reception, on two clocks, s
+        # age of the oldest message when it was worked on, s, the worst since :meth:`look`
         self.oldest = 0.0
 
     def take(self) -> bool:
