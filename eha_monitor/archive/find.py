@@ -31,11 +31,8 @@ class Place:
 def is_archive(path: Path, wanted: bool = False) -> bool:
     """Tell whether a path is no bag itself but a folder that holds bags.
 
-    Parameters
-    ----------
-    path : what the command line names.
-    wanted : the command line asks for a table.  A folder with one .mcap file in it and no
-        metadata.yaml, which else is read as a bag, is then an archive that has just begun.
+    ``wanted`` : the command line asks for a table.  A folder with one .mcap file in it and no
+    metadata.yaml, which else is read as a bag, is then an archive that has just begun.
     """
     if not path.is_dir() or (path / METADATA).exists():
         return False

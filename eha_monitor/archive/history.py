@@ -527,7 +527,6 @@ def history(rows: Sequence[dict], name: str, command: str, made_with: str,
 
     Parameters
     ----------
-    rows : of the table.
     command : ``estimate`` takes its own value, ``diagnose`` the one with the named effects.
     made_with : rows with another digest are shown, and do not count.
     settings : its limits are those of the forecast.

@@ -102,10 +102,7 @@ def _end_with_parent() -> None:
 class Cluster:
     """An existing Dask cluster; a context that ends the connection.
 
-    Raises
-    ------
-    InputError
-        If there is no ``distributed``, no scheduler at the address, or no worker.
+    Raises InputError if there is no ``distributed``, no scheduler at the address, or no worker.
     """
 
     def __init__(self, address: str):

@@ -265,10 +265,7 @@ class Store:
 def read_table(path: Path) -> tuple[list[dict], str]:
     """Return the rows of a table, times as ISO text as in the journal, and its folder.
 
-    Raises
-    ------
-    InputError
-        If the file is no table of this form.
+    Raises InputError if the file is no table of this form.
     """
     import pyarrow
     import pyarrow.parquet

@@ -112,7 +112,6 @@ class Detail:
 
     Parameters
     ----------
-    shown : the actuator.
     span : which time the charts show.
     on_zoom : called when a stretch of time has been dragged on a chart.
     """

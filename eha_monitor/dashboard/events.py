@@ -169,10 +169,7 @@ def since(finding: Finding) -> str:
 def acknowledgements(path: Path) -> dict[str, Acknowledgement]:
     """Return by the name of the alarm what a file has; nothing where there is none.
 
-    Raises
-    ------
-    InputError
-        If it cannot be read, or is no such file.
+    Raises InputError if it cannot be read, or is no such file.
     """
     try:
         tree = json.loads(path.read_text(encoding="utf-8"))
@@ -191,10 +188,7 @@ def acknowledgements(path: Path) -> dict[str, Acknowledgement]:
 def write_acknowledgements(path: Path, given: dict[str, Acknowledgement]) -> None:
     """Write them; see :func:`acknowledgements`.
 
-    Raises
-    ------
-    InputError
-        If the place cannot be written.
+    Raises InputError if the place cannot be written.
     """
     try:
         path.parent.mkdir(parents=True, exist_ok=True)

@@ -66,10 +66,7 @@ def estimates_csv(state: State, now: float, since: float = -math.inf,
 def metrics(states: Mapping[str, State]) -> bytes:
     """Return all metrics in Prometheus' text form; ``states`` by the label ``actuator``.
 
-    Raises
-    ------
-    ImportError
-        If prometheus_client is not installed.
+    Raises ImportError if prometheus_client is not installed.
     """
     from prometheus_client import generate_latest
     from prometheus_client.core import GaugeMetricFamily

@@ -21,13 +21,7 @@ _EVENTS = 12
 
 
 class Page:
-    """Builds the elements into the current NiceGUI context and keeps them up to date.
-
-    Parameters
-    ----------
-    shown : the actuators by name.
-    log : the events of all of them.
-    """
+    """Builds the elements into the current NiceGUI context and keeps them up to date."""
 
     def __init__(self, shown: dict[str, Actuator], log: EventLog):
         self.shown, self.log, self.span = shown, log, Span()

@@ -48,10 +48,7 @@ autocomplete="off" required></label> <button>Open</button></form></body></html>"
 def token_for(loopback: bool, given: str | None) -> tuple[str | None, bool]:
     """Return the token that is required, None for none, and whether it was made here.
 
-    Raises
-    ------
-    InputError
-        If the given one is too short, or cannot stand in an address.
+    Raises InputError if the given one is too short, or cannot stand in an address.
     """
     if given is None:
         return (None, False) if loopback else (secrets.token_urlsafe(24), True)
@@ -82,7 +79,6 @@ class Guard:
 
     Parameters
     ----------
-    app : what is guarded.
     names : host names that it answers to.
     any_address : whether it answers to every numerical address as well; those cannot be rebound.
     token : required of everyone; None lets everyone in.
@@ -216,14 +212,9 @@ def claim(port: int, host: str = HOST, token: str | None = None,
           names: tuple[str, ...] = ()) -> Door:
     """Return a listening socket and who may come in; port 0 takes any that is free.
 
-    On another address than loopback, or under other names, a token is required; one is made
-    where none is given.
-
-    Raises
-    ------
-    InputError
-        If the port is taken or not allowed to this user, the address is none of this machine,
-        or the token is too short.
+    On another address than loopback, or under other names, a token is required; one is made where
+    none is given.  Raises InputError if the port is taken or not allowed to this user, the address
+    is none of this machine, or the token is too short.
     """
     try:
         family, _, _, _, place = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM,

@@ -133,9 +133,7 @@ def clock_text(time_s: float) -> str:
 def last_data(view: state.View, now: float) -> tuple[bool, str]:
     """Return whether data come, and when the last ones came.
 
-    Parameters
-    ----------
-    now : time of day, s since the epoch.
+    ``now`` : time of day, s since the epoch.
     """
     age = min(view.silence["measured"], view.silence["estimates"])
     if math.isinf(age):
@@ -204,9 +202,7 @@ def local_times(finding: Finding) -> str:
 def estimate_status(view: state.View, section: str, stage: str) -> tuple[str, bool]:
     """Return the status of a parameter in words, and whether its value must not be used.
 
-    Parameters
-    ----------
-    section : of its alarms; ``stage`` that estimates it, by name.
+    ``section`` : of its alarms; ``stage`` that estimates it, by name.
     """
     finding = view.findings.get(stage)
     status = str(finding.values.get("status", "")) if finding else ""
@@ -250,9 +246,7 @@ def _written(value: float | int | str, digits: int) -> str:
 def silence_text(view: state.View, settings: Settings, topics: dict[str, str]) -> str:
     """Return what has stopped, since when and what may be the reason; empty if all comes.
 
-    Parameters
-    ----------
-    topics : full names of the topics, by those keys of ``view.silence`` that are looked at.
+    ``topics`` : full names of the topics, by those keys of ``view.silence`` that are looked at.
     """
     limits = dict.fromkeys(topics, settings.monitor.stale_after)
     # The monitor's rate may be slow by choice; one period late is not silent.

@@ -67,12 +67,7 @@ class _Read:
 
 
 class AlarmBoard:
-    """The four alarms, judged as the estimates come.
-
-    Parameters
-    ----------
-    settings : thresholds, viscosity and ``monitor.stale_after`` are read.
-    """
+    """The four alarms, judged as the estimates come."""
 
     def __init__(self, settings: Settings):
         # every change of a level so far, the first one of each alarm included
@@ -307,7 +302,6 @@ def judge_series(settings: Settings, time: np.ndarray, parameters: dict[str, Par
 
     Parameters
     ----------
-    settings : thresholds, viscosity, ``monitor.stale_after``.
     time : (n,) s, rising.
     parameters : ``B`` and ``beta_e`` as they converged.
     temperature : (n,) °C with NaN where not measured (the last one counts), or None.

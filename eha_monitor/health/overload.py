@@ -41,9 +41,7 @@ class Overload:
 class LoadWatch:
     """Judges how the monitor keeps up.
 
-    Parameters
-    ----------
-    stale_after : older data count as stale, s.
+    ``stale_after`` : older data count as stale, s.
     """
 
     def __init__(self, stale_after: float):
@@ -103,9 +101,7 @@ class LatencyMeter:
 
     Where the stamps are on another clock than the wall's, it counts from the row's receipt.
 
-    Parameters
-    ----------
-    keep : latencies kept; 60 000 are one minute at 1 kHz.
+    ``keep`` : latencies kept; 60 000 are one minute at 1 kHz.
 
     Attributes
     ----------

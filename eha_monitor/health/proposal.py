@@ -85,7 +85,6 @@ def healthy_of(source: str, symbol: str, time: np.ndarray, series: ParameterSeri
     Parameters
     ----------
     time : (n,) s.
-    series : the parameter as it converged, as the alarms judge it.
     temperature : (n,) °C, or None.
     """
     if len(time) < 2 or len(series.value) == 0 or series.final.status != "converged":

@@ -49,17 +49,7 @@ NOISE = 5.0  # standard deviations that noise may add
 
 
 def bounds_of(settings: Settings, source: str) -> Bounds:
-    """Return the limits of a config, complete and possible on its rig.
-
-    Parameters
-    ----------
-    source : what the config is called in errors.
-
-    Raises
-    ------
-    InputError
-        One line: the key and what was expected.
-    """
+    """Return the limits of a config; raise InputError unless complete and possible on its rig."""
     given, rig = settings.experiment, settings.rig
     for key in NEEDED:
         if getattr(given, key) is None:
@@ -91,7 +81,6 @@ class Watch:
     Parameters
     ----------
     bounds : complete limits.
-    dt : sample time, s.
     noise : standard deviation of the position, m.
     """
 
@@ -237,10 +226,6 @@ def otherwise(contest: Contest, x_d: np.ndarray, bounds: Bounds) -> tuple[str, .
     """Return in words what else would tell structures apart, each tried with the same motion.
 
     Where none of it would, what the catalogue says to look at on the rig.
-
-    Parameters
-    ----------
-    x_d : (n,) m, the motion.
     """
     now = float(np.sum([one.probability**2 for one in contest.structures]))
     found = []
@@ -339,6 +324,8 @@ def identify(rig: Rig, planner: Planner,
              report: Report | None = None) -> Iterator[Round]:
     """Run motions until a set of effects has the probability asked for, or none can get it.
 
+    Raises InputError if the limits allow no motion, or what came cannot be diagnosed.
+
     Parameters
     ----------
     rig : what moves; ``planner`` knows config, limits and the probability asked for.
@@ -349,11 +336,6 @@ def identify(rig: Rig, planner: Planner,
     ------
     Round
         After each motion; the last one has an ``end``.
-
-    Raises
-    ------
-    InputError
-        If the limits allow no motion, or what came cannot be diagnosed.
     """
     say = report or silent
     say("planning the first motion", 0.0)

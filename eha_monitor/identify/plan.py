@@ -154,12 +154,7 @@ def first_look(settings: Settings, bounds: Bounds) -> tuple[Experiment, list[Str
     """Return the rig as the config has it, and what may be missing there, all equally probable.
 
     Nothing is recorded yet: the sensors are those of ``simulation.publish``, with
-    ``simulation.noise``.
-
-    Raises
-    ------
-    InputError
-        If the config publishes too little to plan with.
+    ``simulation.noise``.  Raises InputError if the config publishes too little to plan with.
     """
     middle, reach = 0.5 * (bounds.lower + bounds.upper), 0.5 * (bounds.upper - bounds.lower)
     period = max(2.0, 2.0 * np.pi * reach / (0.5 * bounds.speed))
@@ -259,9 +254,7 @@ class Contest:
         Those between laws of one family count only as far as they are more than the form error
         of what the family explains; see :meth:`Refits.scores`.
 
-        Parameters
-        ----------
-        longer : how much more data there are than what is recorded.
+        ``longer`` : how much more data there are than what is recorded.
         """
         found = -POLICY.temper * np.vectorize(lambda left: counted(left, POLICY))(units)
         for i, j, form in self._same:
@@ -332,10 +325,7 @@ class Planner:
     def first(self, position: float) -> Planned:
         """Return the first motion, from a position in m: what most that may be missing shows in.
 
-        Raises
-        ------
-        InputError
-            If the limits allow none.
+        Raises InputError if the limits allow none.
         """
         b = self.bounds
         if not b.lower < position < b.upper:

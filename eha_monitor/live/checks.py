@@ -87,9 +87,7 @@ class Turns:
     Actuators of one process begin together, so that without it they all look over their buffers
     in the same tenth of a second, and rows of each wait for all.
 
-    Parameters
-    ----------
-    clock : gives seconds; the machine's time, not that of the rows.
+    ``clock`` : gives seconds; the machine's time, not that of the rows.
     """
 
     def __init__(self, clock: Callable[[], float] = time.monotonic):
@@ -292,7 +290,6 @@ class LiveModel:
         ----------
         taken : row after the last one that was filtered.
         changes : per stage (row, before, after, samples that showed it).
-        parameters : the present estimates.
         quantum : resolution of the position, m.
         time_of : time of a row, s.
         """

@@ -119,10 +119,7 @@ class Adopted:
     def save(self, path: Path) -> None:
         """Write it, for the next start.
 
-        Raises
-        ------
-        InputError
-            If the place cannot be written.
+        Raises InputError if the place cannot be written.
         """
         write_json(path, {"schema": SCHEMA} | asdict(self))
 
@@ -130,10 +127,7 @@ class Adopted:
 def adopted_before(path: Path, settings: Settings) -> Adopted | None:
     """Return the model that an earlier run adopted for this config, None where none did.
 
-    Raises
-    ------
-    InputError
-        One line, if the file is none, or its model was adopted for another config.
+    Raises InputError if the file is none, or its model was adopted for another config.
     """
     try:
         tree = json.loads(path.read_text(encoding="utf-8"))
@@ -242,8 +236,6 @@ class Diagnosing:
     ----------
     bags : of one machine in one state, the newest first.
     settings : the config that they are diagnosed with; ``diagnosis`` is the budget.
-    folder : for what is written, made here.
-    further : arguments beside those.
 
     Raises
     ------

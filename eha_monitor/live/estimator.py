@@ -78,9 +78,7 @@ MOST_CHANGES = 200  # of each stage that are kept
 class LiveEstimator:
     """The monitor's pipeline on live rows; knows nothing of ROS.
 
-    Parameters
-    ----------
-    turns : shared with the other estimators of the thread, if there are any.
+    ``turns`` : shared with the other estimators of the thread, if there are any.
     """
 
     def __init__(self, settings: Settings, turns: Turns | None = None):
@@ -116,10 +114,7 @@ class LiveEstimator:
     def push_rows(self, times: np.ndarray, columns: Columns) -> None:
         """Take aligned rows at rising times, at most some tenths of a second of them.
 
-        Parameters
-        ----------
-        times : (n,) s.
-        columns : channel -> (n,) SI, NaN where it has no value.
+        ``columns`` : channel -> (n,) SI, NaN where it has no value.
         """
         if not len(times):
             return

@@ -256,7 +256,6 @@ class FaultWatch:
 
     Parameters
     ----------
-    sources : the streams.
     sample_time : as configured, s.
     latency : how long a row waits for its last channel, s.
     rotary : whether the position is an angle.

@@ -48,7 +48,6 @@ class LiveBuffer:
     Parameters
     ----------
     seconds : how much is kept at least.
-    dt : sample time, s.
     seen : channels that came before, though not in these rows.
     """
 
@@ -118,9 +117,7 @@ class Grid:
     def place(self, times: np.ndarray, columns: Columns, taken: int) -> int:
         """Put rows to their places, up to a long gap; return how many.
 
-        Parameters
-        ----------
-        taken : rows of the grid that have been filtered: they stand.
+        ``taken`` : rows of the grid that have been filtered: they stand.
         """
         buffer, long, done = self.buffer, LONG_GAP_S / self.dt, 0
         while done < len(times):

@@ -33,17 +33,14 @@ ROUNDING = 1e-3  # of a sample's variance, by which rounding may make one negati
 
 
 def check(out: np.ndarray, sigma: int) -> None:
-    """Refuse what a stage wrote over some rows where its covariance broke down.
+    """Raise FloatingPointError where a stage's variance is no longer positive.
+
+    Numbers that no rig has came then.
 
     Parameters
     ----------
     out : with the innovations and their standard deviations as the last two rows.
     sigma : row of the parameter's standard deviation.
-
-    Raises
-    ------
-    FloatingPointError
-        If a variance is no longer positive: numbers that no rig has came.
     """
     measured = np.isfinite(out[-2])
     if not (np.isfinite(out[sigma]).all() and np.isfinite(out[-1][measured]).all()):
@@ -68,19 +65,13 @@ class LiveStage:
              ) -> tuple[np.ndarray, list[Change]]:
         """Take samples ``first`` to ``stop`` of some inputs.
 
-        Parameters
-        ----------
-        damping : for stage two, B and its variance.
+        ``damping`` : for stage two, B and its variance.  Raises FloatingPointError if numbers that
+        no rig has broke the filter.
 
         Returns
         -------
         out, changes
             (rows, stop) as the stage writes it, from ``first`` on; and the changes seen.
-
-        Raises
-        ------
-        FloatingPointError
-            If numbers that no rig has broke the filter.
         """
         out, changes = np.empty((self.rows, stop)), []
         while first < stop:  # block by block, as a change may end in another beginning
@@ -124,9 +115,7 @@ class LiveStage:
 
         What is hours ago is no hopping to and fro; and an average over hours would hide wear.
 
-        Parameters
-        ----------
-        changes, memory : shares that are kept.
+        ``changes``, ``memory`` : shares that are kept.
         """
         if self.state.watch[watch.FROZEN] == 0.0:
             self.state.watch[[watch.CHANGES, watch.NET, watch.TRAVEL]] *= changes

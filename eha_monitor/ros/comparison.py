@@ -30,9 +30,9 @@ class Comparison:
 
     Something has moved where the model begins or ceases to fit, or B or beta_e, by least squares
     where it does not fit, differ surely and by more than ``MOVED`` from what they were at the
-    comparison before; and every ``EVERY_S`` anyway.
-    Whether that is a change is for the spread of the healthy recordings to say; a change without
-    a name must also show in a recording twice as long.
+    comparison before; and every ``EVERY_S`` anyway. Whether that is a change is for the spread of
+    the healthy recordings to say; a change without a name must also show in a recording twice as
+    long.  Raises InputError if the file is none, or of a rig of other areas, mass or pump.
 
     Parameters
     ----------
@@ -40,11 +40,6 @@ class Comparison:
     keeper : saves the rows that are compared.
     tell : takes an event and its level.
     log_ns : gives the log time, ns, of a row's time, s.
-
-    Raises
-    ------
-    InputError
-        If the file is none, or of a rig of other areas, mass or pump.
     """
 
     def __init__(self, settings: Settings, keeper: Keeper, tell: Callable[[str, str], None],

@@ -43,15 +43,7 @@ def position_topic(settings: Settings, source: str,
 
 
 class Listener:
-    """Subscribes to what the page shows and keeps it in a state.
-
-    Parameters
-    ----------
-    node : node in the namespace of the topics.
-    settings : validated config.
-    source : name of the config in errors.
-    log : takes what changes.
-    """
+    """Subscribes to what the page shows and keeps it in a state."""
 
     def __init__(self, node: Node, settings: Settings, source: str = "config",
                  log: EventLog | None = None):
@@ -139,14 +131,9 @@ def run_dashboard(config: Path | None, ros_args: list[str], served: Served,
                   duration: float | None = None, actuators: tuple[str, ...] = ()) -> int:
     """Serve the page until a signal or for ``duration`` s; returns the exit status.
 
-    Parameters
-    ----------
-    actuators : ``NAME=CONFIG`` for each of several actuators; else ``config`` is the only one.
-
-    Raises
-    ------
-    InputError
-        If the port is taken, or the address, config, a parameter or a ROS argument is wrong.
+    ``actuators`` : ``NAME=CONFIG`` for each of several actuators; else ``config`` is the only one.
+    Raises InputError if the port is taken, or the address, config, a parameter or a ROS argument
+    is wrong.
     """
     with _optional("dashboard", "dashboard"):
         from eha_monitor.dashboard.events import EventLog

@@ -41,10 +41,7 @@ _NAMES = {"boolean": "bool", "float": "float32", "double": "float64"}
 def types_of_class(type_name: str) -> dict:
     """Return type name -> (constants, fields) as rosbags has them, of a type and all inside it.
 
-    Raises
-    ------
-    InputError
-        If a package is not installed, or a field is of a kind that is not read.
+    Raises InputError if a package is not installed, or a field is of a kind that is not read.
     """
     fields, found = [], {}
     for name, kind in message_class(type_name).get_fields_and_field_types().items():
@@ -129,16 +126,8 @@ class Stream:
 class TopicReader:
     """Reads the streams of one topic out of its serialised messages.
 
-    Parameters
-    ----------
-    topic : topic and its streams.
-    type_name : type of its messages.
-    streams : one for each entry; they keep what is wrong with it.
-
-    Raises
-    ------
-    InputError
-        If the type is not installed.
+    ``streams`` : one for each entry; they keep what is wrong with it.  Raises InputError if the
+    type is not installed.
     """
 
     def __init__(self, topic: Topic, type_name: str, streams: Sequence[Stream]):
@@ -169,9 +158,8 @@ class TopicReader:
              ) -> list[Batch]:
         """Return the samples of each stream in some messages, of which there is one at least.
 
-        Parameters
-        ----------
-        came, now_ns : (n,) when each was received: s, monotonic, and ns on the node's clock.
+        ``came``, ``now_ns`` : (n,) when each was received: s, monotonic, and ns on the node's
+        clock.
         """
         groups = self._by_layout(messages)
         self.stamps = stamps = np.array(now_ns, dtype=np.int64)
@@ -258,9 +246,7 @@ class TopicReader:
 
         Not where an entry has never come, or came beside joints that now come without it.
 
-        Parameters
-        ----------
-        now : layouts of the messages that are read.
+        ``now`` : layouts of the messages that are read.
         """
         for stream in self._streams:
             names = {True: [], False: []}

@@ -50,7 +50,6 @@ class SelfDiagnosis:
 
     Parameters
     ----------
-    node : node in the namespace of the topics.
     settings : validated config, without anything adopted.
     keeper : saves what is diagnosed.
     publish : takes what ``monitor/diagnosis`` is to say.

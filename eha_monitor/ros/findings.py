@@ -229,9 +229,7 @@ def _coming(inputs: Sequence[TopicInput], settings: Settings) -> set[str]:
 def with_bags(findings: Sequence[Finding], bags: Mapping[str, str]) -> list[Finding]:
     """Return findings of which each alarm names the bag of the moment in which it was raised.
 
-    Parameters
-    ----------
-    bags : alarm -> bag; "" while the bag is due.
+    ``bags`` : alarm -> bag; "" while the bag is due.
     """
     return [one if (bag := bags.get(one.name)) is None else replace(
         one, values=one.values | ({"bag": bag} if bag else {"bag_due": 1})) for one in findings]

@@ -85,10 +85,7 @@ class RosRig:
     def position(self) -> float:
         """Return where the piston is held, m.
 
-        Raises
-        ------
-        InputError
-            If no position comes.
+        Raises InputError if no position comes.
         """
         if not self.seen.wait(PATIENCE):
             channel = self._settings.channels["x"]
@@ -99,10 +96,7 @@ class RosRig:
     def ready(self) -> None:
         """Wait until somebody follows the command.
 
-        Raises
-        ------
-        InputError
-            If nobody does, or somebody else commands.
+        Raises InputError if nobody does, or somebody else commands.
         """
         topic, own = self._node.resolve_topic_name(COMMAND), self._node.get_name()
         end = time.monotonic() + PATIENCE
@@ -242,16 +236,13 @@ def run_identify(settings: Settings, bounds: Bounds, ros_args: list[str], wait: 
                  folder: tuple[Path, bool], experiment: Callable[[Rig], str]) -> str:
     """Run an experiment over ROS; returns why it was aborted, or "".
 
+    Raises InputError if the rig does not answer, or the experiment raises it.
+
     Parameters
     ----------
     wait : for the service ``identify/start``.
     folder : of the bags, and whether to replace those that are there.
     experiment : runs on the rig, in a thread of its own.
-
-    Raises
-    ------
-    InputError
-        If the rig does not answer, or the experiment raises it.
     """
     settings = with_namespace(settings, ros_args, "identify")
     result: list[str] = []

@@ -24,7 +24,6 @@ class Keeper:
 
     Parameters
     ----------
-    node : node in the namespace of the topics.
     settings : validated config; ``monitor.buffer_minutes`` = 0 keeps nothing.
     tell : called when there is news of a bag.
     """
@@ -166,7 +165,6 @@ class LateTrigger:
 
     Parameters
     ----------
-    node : node to offer it on.
     name : of the service.
     begin : called for each request; returns a message if it is refused at once, else None.
     """

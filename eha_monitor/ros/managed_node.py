@@ -49,13 +49,6 @@ class ManagedMonitor(running.WithoutEvents, LifecycleNode):
     publishers and services, but no data are taken and nothing is published.  Active it works.
     Each activation begins with estimators that know nothing; thresholds stay as they were set.
     Shutting down ends it for good.
-
-    Parameters
-    ----------
-    settings : validated config.
-    source : name of the config in errors.
-    name : of the node.
-    estimator_factory : see :class:`Monitor`.
     """
 
     def __init__(self, settings: Settings, source: str = "config", name: str = "monitor",
@@ -76,10 +69,7 @@ class ManagedMonitor(running.WithoutEvents, LifecycleNode):
     def start(self, active: bool = True) -> None:
         """Configure, and activate unless it is to wait for that.
 
-        Raises
-        ------
-        InputError
-            If it cannot work as it is configured.
+        Raises InputError if it cannot work as it is configured.
         """
         self.trigger_configure()
         if active and self.monitor is not None:
@@ -180,16 +170,13 @@ def run_monitor(config: Path | None, ros_args: list[str], duration: float | None
                 machine: Path | None = None) -> int:
     """Run the monitor until a signal or for ``duration`` s; returns the exit status.
 
+    Raises InputError if a config, a parameter or a ROS argument is wrong.
+
     Parameters
     ----------
     actuators : ``NAME=CONFIG`` for each of several actuators; else ``config`` is the only one.
     inactive : whether to wait for the transition ``activate``.
     machine : file of the healthy machine; None leaves it to the config.
-
-    Raises
-    ------
-    InputError
-        If a config, a parameter or a ROS argument is wrong.
     """
     wanted = running.actuators(config, actuators, ros_args, "monitor")
     if machine is not None:

@@ -65,9 +65,7 @@ def estimates(time_ns: int, frame: str, found: Iterable[ParameterEstimate], mode
     The numbers are text from which the very float is read again; an estimate without data has
     none.
 
-    Parameters
-    ----------
-    model : says where each comes from, and whether it is in doubt.
+    ``model`` : says where each comes from, and whether it is in doubt.
     """
     statuses = []
     for estimate in found:
@@ -130,10 +128,7 @@ def subscribe_to_monitor(node: Node, take_number: Callable[[str, str, float], No
                          take_health: Callable[[DiagnosticArray], None]) -> None:
     """Subscribe to what a monitor publishes in a node's namespace.
 
-    Parameters
-    ----------
-    take_number : called with symbol, ``""`` or ``"_stddev"``, and the number.
-    take_state, take_health : called with the messages.
+    ``take_number`` : called with symbol, ``""`` or ``"_stddev"``, and the number.
     """
     for watched in WATCHED:
         for suffix in ("", "_stddev"):
@@ -148,11 +143,7 @@ def subscribe_to_monitor(node: Node, take_number: Callable[[str, str, float], No
 class Outputs:
     """The monitor's publishers.
 
-    Parameters
-    ----------
-    node : node in the namespace of the topics.
-    keeper : keeps what is published.
-    settings : validated config; names frame and hardware.
+    ``settings`` : validated config; names frame and hardware.
     """
 
     def __init__(self, node: Node, keeper: Keeper, settings: Settings):

@@ -50,13 +50,7 @@ CLASHES_PERIOD = 1.5  # to ask the graph for all ends of all topics costs 1.6 ms
 class Monitor:
     """Estimator, alarms and their topics on a node.
 
-    Parameters
-    ----------
-    node : node in the namespace of the topics.
-    settings : validated config.
-    estimator_factory : makes the estimator from the settings.
-    source : name of the config in errors.
-    active : whether to begin at once; else :meth:`activate` begins.
+    ``active`` : whether to begin at once; else :meth:`activate` begins.
     """
 
     def __init__(self, node: Node, settings: Settings,

@@ -158,16 +158,10 @@ def overridden(settings: Settings, changes: dict[str, Any], source: str,
                as_config: bool = False) -> Settings:
     """Return the settings with dotted keys changed; NaN stands for null.
 
-    Parameters
-    ----------
-    as_config : whether the changes count as what the config itself says: beside a limit that is
-        given, a default one that is out of order with it goes, and the numbers of the rig that
-        nobody has given stay known as such.
-
-    Raises
-    ------
-    InputError
-        One line that names the key and what was expected.
+    ``as_config`` : whether the changes count as what the config itself says: beside a limit that
+    is given, a default one that is out of order with it goes, and the numbers of the rig that
+    nobody has given stay known as such.  Raises InputError, one line that names the key and what
+    was expected.
     """
     tree = settings.model_dump(exclude_unset=as_config)
     tree["simulation"] = settings.simulation.model_dump()
@@ -223,13 +217,9 @@ def number_of(value: Any, unit: str) -> Any:
 def settings_of_node(node: Node, settings: Settings) -> Settings:
     """Return the settings with what ``-p`` and ``--params-file`` say on top.
 
-    The node must have been made with ``automatically_declare_parameters_from_overrides``: only
-    so does a misspelt key show.
-
-    Raises
-    ------
-    InputError
-        One line that names the parameter and what was expected.
+    The node must have been made with ``automatically_declare_parameters_from_overrides``: only so
+    does a misspelt key show.  Raises InputError, one line that names the parameter and what was
+    expected.
     """
     given = {name: parameter.value
              for name, parameter in node.get_parameters_by_prefix("").items()
@@ -250,8 +240,6 @@ def declare(node: Node, settings: Settings, keys: tuple[str, ...],
     Parameters
     ----------
     node : from :func:`settings_of_node`.
-    settings : values to show.
-    keys : sections to declare.
     on_change : called with the new settings after a change of the thresholds.
     """
     table = parameter_table(settings, keys)
@@ -294,10 +282,7 @@ def declare(node: Node, settings: Settings, keys: tuple[str, ...],
 def for_rcl(arguments: list[str]) -> Iterator[list[str]]:
     """Give ROS arguments with parameter files that rcl reads; they are there within the block.
 
-    Raises
-    ------
-    InputError
-        If a file cannot be read, or is neither a config nor a parameter file.
+    Raises InputError if a file cannot be read, or is neither a config nor a parameter file.
     """
     with tempfile.TemporaryDirectory(prefix="eha_monitor_") as folder:
         found = list(arguments)
@@ -334,10 +319,7 @@ def with_namespace(settings: Settings, arguments: list[str], node: str) -> Setti
 def in_ros_form(tree: dict, source: str) -> dict:
     """Return a config's tree as one that rcl reads; sections at the top are for every node.
 
-    Raises
-    ------
-    InputError
-        Where a list holds nothing, which no parameter file can say.
+    Raises InputError where a list holds nothing, which no parameter file can say.
     """
     found: dict = {}
     for key, content in tree.items():

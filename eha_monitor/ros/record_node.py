@@ -33,11 +33,7 @@ def topics_to_record(settings: Settings) -> tuple[str, ...]:
 class Recorder:
     """Subscribes to topics as they appear and writes what comes.
 
-    Parameters
-    ----------
-    node : node in the namespace of relative topics.
-    writer : open bag.
-    topics : names, relative or absolute.
+    ``topics`` : names, relative or absolute.
     """
 
     def __init__(self, node: Node, writer: BagWriter, topics: tuple[str, ...]):
@@ -85,15 +81,8 @@ def run_record(out: Path, ros_args: list[str], topics: tuple[str, ...] | None = 
                duration: float | None = None, config: Path | None = None) -> int:
     """Record until a signal or for ``duration`` s; returns the exit status.
 
-    Parameters
-    ----------
-    out : bag to write.
-    topics : topics to record; None or empty takes those of :func:`topics_to_record`.
-
-    Raises
-    ------
-    InputError
-        If the bag cannot be written, or the config or a ROS argument is wrong.
+    ``topics`` : topics to record; None or empty takes those of :func:`topics_to_record`.  Raises
+    InputError if the bag cannot be written, or the config or a ROS argument is wrong.
     """
     settings, _ = running.configured(config, ros_args, "record")
     topics = tuple(topics or topics_to_record(settings))

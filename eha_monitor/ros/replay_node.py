@@ -35,16 +35,7 @@ SHARED = ("/diagnostics", "/rosout", "/parameter_events", "/tf", "/tf_static")
 
 
 class Replay:
-    """Publishes the messages of a bag; pause by service or by the space key.
-
-    Parameters
-    ----------
-    node : the replay node.
-    bag : folder or file.
-    rate : times real time.
-    clock : whether to publish ``/clock``.
-    paused : whether to start paused.
-    """
+    """Publishes the messages of a bag; pause by service or by the space key."""
 
     def __init__(self, node: Node, bag: Path, rate: float = 1.0, clock: bool = True,
                  paused: bool = False):
@@ -216,10 +207,7 @@ def run_replay(bag: Path, ros_args: list[str], rate: float = 1.0, clock: bool = 
                loop: bool = False, start_paused: bool = False) -> int:
     """Publish a bag until its end (``loop``: until a signal); returns the exit status.
 
-    Raises
-    ------
-    InputError
-        If there is no bag, it holds nothing to publish, or a ROS argument is wrong.
+    Raises InputError if there is no bag, it holds nothing to publish, or a ROS argument is wrong.
     """
     with running.ros_session(ros_args), running.node("replay") as node:
         replay = Replay(node, Path(bag), rate, clock, start_paused)

@@ -60,15 +60,8 @@ class QuietNode(WithoutEvents, Node):
 def ros_session(arguments: list[str]) -> Iterator[None]:
     """Keep ROS running for a block; SIGINT and SIGTERM end the block quietly.
 
-    Parameters
-    ----------
-    arguments : ROS arguments, with or without a leading ``--ros-args``; a parameter file may be
-        a config of either form.
-
-    Raises
-    ------
-    InputError
-        If ROS does not understand the arguments.
+    ``arguments`` : ROS arguments, with or without a leading ``--ros-args``; a parameter file may
+    be a config of either form.  Raises InputError if ROS does not understand the arguments.
     """
     arguments = list(arguments)
     if arguments and "--ros-args" not in arguments:
@@ -152,15 +145,8 @@ def _ros_problem(what: str) -> Iterator[None]:
 def made(name: str, make: Callable[..., Node], *arguments, **options) -> Iterator[Node]:
     """Make a node; at the end deliver what it published last, and destroy it.
 
-    Parameters
-    ----------
-    name : for messages.
-    make : called with what follows.
-
-    Raises
-    ------
-    InputError
-        If a parameter file or the namespace is wrong.
+    ``make`` : called with what follows.  Raises InputError if a parameter file or the namespace is
+    wrong.
     """
     with _ros_problem(f"node {name}"):
         found = make(*arguments, **options)
@@ -209,10 +195,7 @@ def spin(nodes: Node | Sequence[Node], duration: float | None = None,
 def configured(config: Path | None, ros_args: list[str], name: str) -> tuple[Settings, str]:
     """Return the settings of a node of this name, and what its config is called in errors.
 
-    Raises
-    ------
-    InputError
-        If the config or a parameter file is wrong.
+    Raises InputError if the config or a parameter file is wrong.
     """
     return (with_namespace(load_settings(config), ros_args, name),
             str(config or "default config"))
@@ -222,10 +205,7 @@ def actuators(config: Path | None, given: tuple[str, ...], ros_args: list[str], 
               ) -> list[tuple[Settings, str]]:
     """Return settings and config's name of each ``NAME=CONFIG``, or else of the one actuator.
 
-    Raises
-    ------
-    InputError
-        If there are both, or a config or an actuator is wrong.
+    Raises InputError if there are both, or a config or an actuator is wrong.
     """
     if given and config is not None:
         raise InputError("--config: expected either it or --actuator NAME=CONFIG")
@@ -236,12 +216,8 @@ def actuators_of(given: tuple[str, ...], node: str = "monitor") -> list[tuple[Se
     """Return settings and config's name of each ``NAME=CONFIG``.
 
     The name becomes the namespace of the topics and the ``hardware_id`` of the diagnostics; an
-    empty CONFIG is the paper's EHA.
-
-    Raises
-    ------
-    InputError
-        If one has no name, or a name comes twice, or a config is wrong.
+    empty CONFIG is the paper's EHA.  Raises InputError if one has no name, or a name comes twice,
+    or a config is wrong.
     """
     found: dict[str, tuple[Settings, str]] = {}
     for text in given:
@@ -262,14 +238,9 @@ def actuators_of(given: tuple[str, ...], node: str = "monitor") -> list[tuple[Se
 
 
 def refuse_another_rig(settings: Settings) -> None:
-    """Refuse a machine file that was made of another rig than the config's.
+    """Raise InputError where the machine file was made of another rig than the config's.
 
     By the name in the config: that of ``--actuator`` is no rig's, but a place's.
-
-    Raises
-    ------
-    InputError
-        With both names.
     """
     if not settings.diagnosis.machine:
         return
@@ -283,13 +254,7 @@ def refuse_another_rig(settings: Settings) -> None:
 
 
 def check_apart(nodes: Sequence[Node]) -> None:
-    """Refuse nodes of which two have the same name.
-
-    Raises
-    ------
-    InputError
-        With the name.
-    """
+    """Raise InputError where two of the nodes have the same name."""
     names = [each.get_fully_qualified_name() for each in nodes]
     if len(set(names)) < len(names):
         raise InputError(f"ROS arguments: two actuators would both be {names[0]}, expected no "

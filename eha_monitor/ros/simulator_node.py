@@ -59,12 +59,7 @@ class _Stream:
 class SimulatorNode:
     """Publishes samples in real time, each with its exact stamp.
 
-    Parameters
-    ----------
-    node : node in the namespace of the topics.
-    settings : validated config.
-    seed : seed of the sensor noise; None takes the config's.
-    source : name of the config in errors.
+    ``seed`` : seed of the sensor noise; None takes the config's.
     """
 
     def __init__(self, node: Node, settings: Settings, seed: int | None = None,
@@ -236,10 +231,7 @@ def run_simulator(config: Path | None, ros_args: list[str], duration: float | No
                   seed: int | None = None) -> int:
     """Publish the simulated actuator until a signal or for ``duration`` s.
 
-    Raises
-    ------
-    InputError
-        If the config, a parameter or a ROS argument is wrong.
+    Raises InputError if the config, a parameter or a ROS argument is wrong.
     """
     settings, source = running.configured(config, ros_args, "simulator")
     with (running.ros_session(ros_args),

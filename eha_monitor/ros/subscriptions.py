@@ -35,14 +35,7 @@ DEMANDED = frozenset({"x_d", "omega_d"})  # the same, where the pump's speed com
 
 
 class TopicInput:
-    """One topic: its subscription, its streams, what is wrong with it.
-
-    Parameters
-    ----------
-    node : node to subscribe with.
-    topic : topic and the streams it carries.
-    qos : of the subscription.
-    """
+    """One topic: its subscription, its streams, what is wrong with it."""
 
     def __init__(self, node: Node, topic: Topic, qos: QoSProfile = INPUT_QOS):
         self.topic = topic
@@ -160,12 +153,7 @@ class TopicInput:
 class Drain:
     """Takes what waits on the topics: messages to the rows, and to what is kept of them.
 
-    Parameters
-    ----------
-    node : its clock stamps messages that carry no stamp.
-    inputs : the topics.
-    aligner : takes the samples.
-    keeper : keeps the messages as they came.
+    ``node`` : its clock stamps messages that carry no stamp.
     """
 
     def __init__(self, node: Node, inputs: list[TopicInput], aligner: RowAligner,

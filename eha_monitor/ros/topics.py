@@ -126,15 +126,8 @@ def topics_of(settings: Settings, source: str = "config",
               resolve: Callable[[str], str] = str) -> list[Topic]:
     """Return the topics of the channel map with their streams.
 
-    Parameters
-    ----------
-    source : name of the config in errors.
-    resolve : name in the config -> full name on the graph, remaps included.
-
-    Raises
-    ------
-    InputError
-        If the map has no position, or a channel without topic or field.
+    ``resolve`` : name in the config -> full name on the graph, remaps included.  Raises InputError
+    if the map has no position, or a channel without topic or field.
     """
     if "x" not in settings.channels:
         raise InputError(f"{source}: channels.x: expected the position's topic, it stamps the "
@@ -173,13 +166,7 @@ def topics_of(settings: Settings, source: str = "config",
 
 
 def check_topic(name: str) -> None:
-    """Refuse a name that ROS does not take for a topic.
-
-    Raises
-    ------
-    InputError
-        One line with the name.
-    """
+    """Raise InputError for a name that ROS does not take for a topic."""
     try:
         if not (name.isascii() and name.isprintable()):  # ROS reads up to a zero only
             raise ValueError(name)
@@ -192,10 +179,7 @@ def check_topic(name: str) -> None:
 def message_class(type_name: str) -> type:
     """Return the class of a message type such as ``sensor_msgs/msg/JointState``.
 
-    Raises
-    ------
-    InputError
-        If its package is not installed.
+    Raises InputError if its package is not installed.
     """
     parts = type_name.split("/")
     try:
