@@ -113,16 +113,10 @@ def logsum(values: np.ndarray) -> float:
 
 @dataclass
 class Tracker:
-    """Takes the values of a series one by one.
+    """Takes the values of a series one by one."""
 
-    Parameters
-    ----------
-    unit : usual time between two recordings, s.
-    scale : noise that the first differences show, in units of the way to the limit.
-    """
-
-    unit: float
-    scale: float
+    unit: float  # usual time between two recordings, s
+    scale: float  # noise that the first differences show, in units of the way to the limit
     bank: Bank = None
     time: float = np.nan
     count: int = 0

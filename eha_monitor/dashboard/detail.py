@@ -159,11 +159,8 @@ class Detail:
     def reset_zoom(self) -> None:
         """Let each chart show the whole of its axis: the axis itself is what was chosen."""
         whole = {"type": "dataZoom", "start": 0, "end": 100}
-        for chart in self._timed_charts():
+        for chart in (*(each["chart"] for each in self._figures.values()), self._residual_chart):
             chart.run_chart_method("dispatchAction", whole)
-
-    def _timed_charts(self) -> list[ui.echart]:
-        return [*(figure["chart"] for figure in self._figures.values()), self._residual_chart]
 
     def _save_picture(self, chart: ui.echart, name: str) -> None:
         now = time.strftime("%Y-%m-%d %H:%M:%S %Z")

@@ -270,7 +270,7 @@ class Diagnosing:
                 env=os.environ | {"PYTHONPATH": os.pathsep.join(
                     [str(PACKAGE.parent), *filter(None, [os.environ.get("PYTHONPATH")])])},
                 stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=log)
-        self._answer: Answer | None = None
+        self.answer: Answer | None = None  # once there is one
         # To read the answer takes a tenth of a second: rows must not wait for it.
         self._reader = threading.Thread(target=self._read, daemon=True, name="diagnosis")
         self._reader.start()
@@ -279,10 +279,6 @@ class Diagnosing:
     def seconds(self) -> float:
         """For how long it has run."""
         return time.monotonic() - self._started
-
-    def take(self) -> Answer | None:
-        """Return the answer once there is one."""
-        return self._answer
 
     def end(self) -> None:
         """End the process, if it still runs."""
@@ -297,20 +293,19 @@ class Diagnosing:
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()
-            self._answer = self._failed(f"had not ended after {longest:.0f} s")
+            self.answer = self._failed(f"had not ended after {longest:.0f} s")
             return
         if status:
-            self._answer = self._failed(self._why(status))
+            self.answer = self._failed(self._why(status))
             return
         try:
             tree = json.loads((self._folder / "diagnosis.json").read_text(encoding="utf-8"))
             completed = load_settings(self._folder / "completed.yaml") if any(
                 tree.get(kind) for kind in FOUND) else None
         except (OSError, ValueError, KeyError, InputError) as problem:
-            self._answer = self._failed(f"left no answer: {problem}")
+            self.answer = self._failed(f"left no answer: {problem}")
             return
-        self._answer = Answer("", self._folder, self._bags, tree, completed,
-                              self.seconds)
+        self.answer = Answer("", self._folder, self._bags, tree, completed, self.seconds)
 
     def _failed(self, why: str) -> Answer:
         return Answer(f"the diagnosis of {self._bags[0]} {why}", self._folder, self._bags,

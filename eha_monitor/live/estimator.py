@@ -44,7 +44,9 @@ from eha_monitor.live.checks import (
     JUDGED_S,
     KEPT,
     Fit,
+    Handover,
     LiveHold,
+    LiveModel,
     LivePlausibility,
     Turns,
 )
@@ -94,7 +96,8 @@ class LiveEstimator:
         self.settings = self._hold.settings
         self.dt = self.settings.rig.sample_time
         self._gathered, self._grid = Gathered(), None
-        self._state = LiveState.new(self.settings, NOISE_AGAIN_S)
+        self._state = LiveState(self.settings, Handover(self.settings),
+                                LiveModel(self.settings), list(NOISE_AGAIN_S))
         self._checkpoints = Checkpoints()
         self._model: RigModel | None = None
         self._no_force = self._no_drive = None
@@ -283,11 +286,6 @@ class LiveEstimator:
         """
         return self._inputs_from(start).part(0, self._state.taken - start)
 
-    def _last(self, seconds: float) -> StageInputs:
-        """Return the inputs of the last seconds, or of as many as there are."""
-        start = self._state.taken - round(seconds / self.dt)
-        return self._inputs(max(self._grid.buffer.first, start))
-
     def _rows(self, seconds: float) -> Recording:
         """Return the rows of the last seconds, or as many as there are."""
         buffer, taken = self._grid.buffer, self._state.taken
@@ -407,9 +405,10 @@ class LiveEstimator:
     def rehearse(self) -> None:
         """Do once what a mismatch will ask for, so that its compiled code is loaded."""
         parameters_of(self._rows(LOOK_S), self.settings)
+        state, buffer = self._state, self._grid.buffer
+        start = max(buffer.first, state.taken - round(BUFFER_S / self.dt))
         for stage in STAGES:
-            self._state.tester.try_again(stage, self._last(BUFFER_S), self._state.damping,
-                                         self._now)
+            state.tester.try_again(stage, self._inputs(start), state.damping, self._now)
 
     def _adopt(self, stage: str, fit: Fit, start: int) -> None:
         """Carry on from a window that fits: what came before it no longer counts."""

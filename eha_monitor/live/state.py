@@ -90,7 +90,7 @@ class LiveStage:
 
     def _check(self) -> None:
         """Refuse variances of position and velocity that are, beyond rounding, negative."""
-        of_x, of_v = self.motion
+        of_x, of_v = (float(self.state.P[place]) for place in self.motion)
         r = self.constants.R
         if not (of_x > -ROUNDING * r and of_v > -ROUNDING * r / self.constants.dt**2):
             raise FloatingPointError(BROKEN)
@@ -124,6 +124,15 @@ class LiveStage:
                                 max(self.variance, self.constants.prior_variance))
 
     @property
+    def variance(self) -> float:
+        """Variance as the filter has it: of B, or of the compliance."""
+        return float(self.state.P[self.place])
+
+    @variance.setter
+    def variance(self, value: float) -> None:
+        self.state.P[self.place] = value
+
+    @property
     def held(self) -> bool:
         """Whether the parameter stays at its prior, because nothing has excited it yet."""
         return bool(self.state.watch[watch.FROZEN] == watch.HELD)
@@ -140,6 +149,8 @@ class LiveStageOne(LiveStage):
 
     prior: float
     rows, sigma = 6, 3  # of what the stage writes; the place of the parameter's sigma
+    # Places in the covariance: of the parameter; of position and velocity.
+    place, motion = BB_PLACE, (0, VV_PLACE)
 
     @classmethod
     def new(cls, run: Callable[..., int], model: RigModel, constants: ConstantsOne,
@@ -180,20 +191,6 @@ class LiveStageOne(LiveStage):
         """Its standard deviation, N·s/m."""
         return self.factor * math.sqrt(self.variance)
 
-    @property
-    def variance(self) -> float:
-        """Variance of B as the filter has it."""
-        return float(self.state.P[BB_PLACE])
-
-    @variance.setter
-    def variance(self, value: float) -> None:
-        self.state.P[BB_PLACE] = value
-
-    @property
-    def motion(self) -> tuple[float, float]:
-        """Variances of position and velocity."""
-        return float(self.state.P[0]), float(self.state.P[VV_PLACE])
-
 
 @dataclass(kw_only=True)
 class LiveStageTwo(LiveStage):
@@ -204,6 +201,7 @@ class LiveStageTwo(LiveStage):
 
     b_variance: float
     rows, sigma = 8, 4
+    place, motion = (C_PLACE, C_PLACE), ((0, 0), (1, 1))
 
     def _rows(self, inputs: StageInputs, stop: int, b: float, b_variance: float):
         self.b_variance = b_variance
@@ -220,20 +218,6 @@ class LiveStageTwo(LiveStage):
         to_b = float(self.state.sens[C_PLACE])
         return self.value / self._compliance * math.sqrt(
             self.factor**2 * self.variance + to_b**2 * self.b_variance)
-
-    @property
-    def variance(self) -> float:
-        """Variance of the compliance as the filter has it."""
-        return float(self.state.P[C_PLACE, C_PLACE])
-
-    @variance.setter
-    def variance(self, value: float) -> None:
-        self.state.P[C_PLACE, C_PLACE] = value
-
-    @property
-    def motion(self) -> tuple[float, float]:
-        """Variances of position and velocity."""
-        return float(self.state.P[0, 0]), float(self.state.P[1, 1])
 
     @property
     def _compliance(self) -> float:
@@ -265,11 +249,6 @@ class LiveState:
     r: float = math.nan
     # parameters whose convergence has been reported
     announced: set[str] = field(default_factory=set)
-
-    @classmethod
-    def new(cls, settings: Settings, noise_at: tuple[float, ...]) -> "LiveState":
-        """Return what is known before the first row."""
-        return cls(settings, Handover(settings), LiveModel(settings), list(noise_at))
 
     @property
     def stages(self) -> list[LiveStage]:

@@ -127,7 +127,7 @@ class Comparison:
 
     def poll(self) -> bool:
         """Take the result of a comparison; True where there is one."""
-        answer = self._running.take() if self._running is not None else None
+        answer = self._running.answer if self._running is not None else None
         if answer is None:
             return False
         self._running, (_, since_ns, why) = None, self._compared

@@ -273,7 +273,7 @@ class SelfDiagnosis:
         self._say()
 
     def _poll(self) -> None:
-        answer = self._running.take() if self._running is not None else None
+        answer = self._running.answer if self._running is not None else None
         if answer is not None:
             self._running = None
             self._ended(answer)

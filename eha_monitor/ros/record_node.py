@@ -39,21 +39,17 @@ class Recorder:
     def __init__(self, node: Node, writer: BagWriter, topics: tuple[str, ...]):
         self.writer = writer
         self._node = node
-        self._waiting = dict.fromkeys(node.resolve_topic_name(topic) for topic in topics)
+        # those that nobody has published so far
+        self.waiting = dict.fromkeys(node.resolve_topic_name(topic) for topic in topics)
         self._poll()
         node.create_timer(POLL_PERIOD, self._poll,
                           clock=Clock(clock_type=ClockType.STEADY_TIME))
 
-    @property
-    def waiting(self) -> list[str]:
-        """Topics that nobody has published so far."""
-        return list(self._waiting)
-
     def _poll(self) -> None:
-        for topic in list(self._waiting):
+        for topic in list(self.waiting):
             publishers = self._node.get_publishers_info_by_topic(topic)
             if publishers:
-                del self._waiting[topic]
+                del self.waiting[topic]
                 self._subscribe(topic, publishers)
 
     def _subscribe(self, topic: str, publishers: list) -> None:
@@ -70,11 +66,9 @@ class Recorder:
             return
         write, now = self.writer.write_raw, time.time_ns
 
-        def on_message(data):
-            write(topic, now(), data)
-
         self._node.create_subscription(
-            kind, topic, on_message, raw=True, qos_profile=profile(DEPTH, reliable, latched))
+            kind, topic, lambda data: write(topic, now(), data), raw=True,
+            qos_profile=profile(DEPTH, reliable, latched))
 
 
 def run_record(out: Path, ros_args: list[str], topics: tuple[str, ...] | None = None,
