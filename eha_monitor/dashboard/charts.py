@@ -24,8 +24,7 @@ _MARGIN = 0.13
 _OFF_THE_LINE = (5, 8)  # of a line's label along and across it, pixels
 # The time axis is at least this long; it grows to the whole span as the history does, s.
 _LEAST_SPAN = 30.0
-# A value that is less sure than this share of itself does not stretch the axis.
-_UNSURE = 0.3
+_UNSURE = 0.3  # a value that is less sure than this share of itself does not stretch the axis
 
 
 def _frame(time_axis: dict, value_name: str, series: list[dict], legend: list,

@@ -101,10 +101,8 @@ async def ask_for_acknowledgement(state: State, alarm: str) -> None:
     dialog.on("hide", dialog.delete)
 
 
-# Where the scale of the drawing shrinks: not at each pause of the motion.
-_SHRINK = 4.0
-# Rows of a line: more than a chart has pixels are not sent.
-_MOST_ROWS = 700
+_SHRINK = 4.0  # where the scale of the drawing shrinks: not at each pause of the motion
+_MOST_ROWS = 700  # rows of a line: more than a chart has pixels are not sent
 
 
 class Detail:

@@ -21,10 +21,8 @@ from eha_monitor.health.judge import DIAGNOSIS, MISMATCH, SEVERITY, Finding
 from eha_monitor.output import write_bytes
 
 QUALITY = "data quality"
-# What a person can acknowledge.
-ACKNOWLEDGED = (*ALARM_NAMES, MISMATCH)
-# So many events are kept; the oldest go first.
-MOST = 5000
+ACKNOWLEDGED = (*ALARM_NAMES, MISMATCH)  # what a person can acknowledge
+MOST = 5000  # so many events are kept; the oldest go first
 # In these an alarm is worth an entry of its own; that data began or stopped is one of `data`.
 _LOGGED = ("WARN", "ERROR", NOT_JUDGED)
 

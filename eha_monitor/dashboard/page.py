@@ -16,8 +16,7 @@ from eha_monitor.health.judge import SEVERITY
 STYLE, SCRIPT = (Path(__file__).with_name(f"page.{kind}") for kind in ("css", "js"))
 # How often numbers and words are looked up, and how often the charts are drawn, s.
 REFRESH_PERIOD, POSITION_PERIOD, CHART_PERIOD = 0.2, 0.5, 1.0
-# Events on the page; all that are kept are in the file.
-_EVENTS = 12
+_EVENTS = 12  # events on the page; all that are kept are in the file
 
 
 class Page:

@@ -112,8 +112,7 @@ def _with_gaps(rows: list[Row], gap: float) -> list[Row]:
 # Choices by their name; None is all that is kept.
 CHOICES: dict[str, float | None] = {"1 min": 60.0, "5 min": 300.0, "30 min": 1800.0, "all": None}
 FIRST = "5 min"
-# A shorter stretch than this is a click and no choice, s.
-SHORTEST = 1.0
+SHORTEST = 1.0  # a shorter stretch than this is a click and no choice, s
 
 
 class Span:
@@ -157,17 +156,14 @@ ESTIMATES_SPAN, ESTIMATES_EVERY = 1800.0, 0.5
 # Before that, the extremes of each minute.
 LONG_SPAN, STRETCH = 86_400.0, 60.0
 POSITION_SPAN, POSITION_EVERY = 15.0, 0.04
-# Measured positions among which the one of an estimate's stamp is looked for.
-RECENT = 1000
-# So long a pair of the same stamp is shown when the next ones lack a partner, s.
-PAIR_HOLDS = 0.5
+RECENT = 1000  # measured positions among which the one of an estimate's stamp is looked for
+PAIR_HOLDS = 0.5  # so long a pair of the same stamp is shown when the next ones lack a partner, s
 # Health comes once a second; after this without it, what it said counts no more, s.
 HEALTH_STALE_AFTER = 3.0
 STAGES = {"stage_one": WATCHED[0], "stage_two": WATCHED[1]}
 # A clock that was set goes at least so far at once; less is what it is steered by, s.
 CLOCK_SET = 0.5
-# A reset that is reported twice within this time is one, s.
-SAME_RESET = 2.5
+SAME_RESET = 2.5  # a reset that is reported twice within this time is one, s
 # Keys of the innovations in the statuses of the stages.
 NIS, VARIANCE_RATIO, SAMPLES = ("innovation_nis", "innovation_variance_ratio",
                                 "innovation_samples")

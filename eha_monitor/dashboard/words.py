@@ -22,8 +22,7 @@ _DATA = {"rows": "{} rows so far", "lost_messages": "{} messages lost",
          "missing_samples": "{} samples missing",
          "latency_p50_ms": "half of the rows done within {} ms",
          "cpu_share_percent": "{} % of a processor"}
-# A thousandth of the units in which positions are shown.
-_FINE = {"mm": "µm", "mrad": "µrad"}
+_FINE = {"mm": "µm", "mrad": "µrad"}  # a thousandth of the units in which positions are shown
 # Data count as live up to this age, and stamps as of another time beyond this distance, s.
 LIVE_WITHIN, STAMPS_DIFFER = 2.0, 5.0
 _STATUS_WORDS = {"not_excited": "not excited", "no_data": "no data"}

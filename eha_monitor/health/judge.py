@@ -27,8 +27,7 @@ SEVERITY: tuple[str, ...] = ("OK", "STALE", NOT_JUDGED, "WARN", "ERROR")
 
 SETTLE_S = 10.0  # a value has settled when it has stayed within ...
 WITHIN = 0.05  # ... so much of itself for so long
-# Sums of sample times miss the hold time by rounding.
-_TIME_TOLERANCE = 1e-6
+_TIME_TOLERANCE = 1e-6  # sums of sample times miss the hold time by rounding
 
 
 class Reported:

@@ -16,15 +16,13 @@ from eha_monitor.live.rows import Counts, Rows, Source, steps_from
 from eha_monitor.plausibility.held import SHORTEST_S, is_frozen
 from eha_monitor.recordings.recording import LARGEST, LIMITS
 
-# A sentence stands for so long after its last evidence.
-HELD_S = 3.0
+HELD_S = 3.0  # a sentence stands for so long after its last evidence
 # So many samples, and so large a share of them, make a fault; one message in thousands is none.
 FEW = 3
 # What two sources that use one topic look like; ends of sentences.
 MIXED = ("are duplicates and left out", "came out of order, behind later ones, and are left out")
 SHARE = 0.005
-# A step between stamps longer than this, in usual steps, lacks samples.
-GAP = 1.5
+GAP = 1.5  # a step between stamps longer than this, in usual steps, lacks samples
 # A rate this many times off the configured one is named.
 OTHER_RATE = 1.5
 NEAR_RATE = 0.2  # off it, the middle step of a jitter may be so much
@@ -36,8 +34,7 @@ GROWTHS = 5
 INTERRUPTED_S = 1.0  # without data: nothing is lost between, the source was not there
 # Kinds of sentences that a monitor that cannot keep up brings about by itself.
 CONSEQUENCES = ("missing", "late", "lacked")
-# So many samples are needed to tell a usual step.
-ENOUGH = 20
+ENOUGH = 20  # so many samples are needed to tell a usual step
 # What must move while a channel stands still: the demand, and for the demand itself the position.
 # The velocity is in no stage, and many drivers publish a zero there for ever.
 REFERENCES = {"x": "x_d", "omega": "x", "p1": "x", "p2": "x", "force": "x", "x_d": "x"}

@@ -23,8 +23,7 @@ FAR_BACK_NS = 500_000_000
 FAR_AHEAD_NS = 60_000_000_000
 CONFIRM_FAR = 3
 CONFIRM_NEAR = 20
-# A source that was silent for this long is not waited for.
-SILENT_S = 0.25
+SILENT_S = 0.25  # a source that was silent for this long is not waited for
 # A held channel (temperature) counts as measured for this long.
 HOLD_NS = 60_000_000_000
 KEPT = 8192  # samples of a source that wait for a row, at most

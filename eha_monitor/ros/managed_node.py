@@ -17,8 +17,7 @@ from eha_monitor.ros.monitor_node import Monitor
 from eha_monitor.ros.parameters import MONITOR_KEYS, declare, settings_of_node
 from eha_monitor.settings import Settings
 
-# Past the first second, when stage two is run and the model is tested.
-WARM_UP_ROWS = 3000
+WARM_UP_ROWS = 3000  # past the first second, when stage two is run and the model is tested
 # How long one thread of Python runs while another waits: a bag is written beside the filter.
 SWITCH_S = 0.0005
 

@@ -20,13 +20,7 @@ from eha_monitor.live.diagnosing import Candidate
 from eha_monitor.live.faults import CONSEQUENCES, FaultWatch
 from eha_monitor.live.rows import RowAligner, Rows
 from eha_monitor.ros.diagnosis import SelfDiagnosis
-from eha_monitor.ros.findings import (
-    DataState,
-    all_findings,
-    levels,
-    unfed,
-    with_bags,
-)
+from eha_monitor.ros.findings import DataState, all_findings, levels, unfed, with_bags
 from eha_monitor.ros.keeper import Keeper
 from eha_monitor.ros.messages import Outputs
 from eha_monitor.ros.subscriptions import DEMANDED, OPTIONAL, Drain, Load, TopicInput

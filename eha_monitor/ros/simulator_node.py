@@ -22,13 +22,11 @@ from eha_monitor.settings import Settings
 
 # Samples go out in bursts of this spacing: fewer wake-ups, and little against 20 ms of latency.
 BURST = 0.002
-# The plant is simulated in blocks, as one call costs as much as a hundred samples.
-BLOCK = 100
+BLOCK = 100  # the plant is simulated in blocks, as one call costs as much as a hundred samples
 # Where commands are followed, a block must not begin before they have come.
 FOLLOWING_BLOCK = 10
 KEPT_COMMANDS = 4000
-# Temperature is a slow sensor.
-SLOW_PERIOD = 0.1
+SLOW_PERIOD = 0.1  # temperature is a slow sensor
 
 
 @dataclass

@@ -33,8 +33,7 @@ def profile(depth: int, reliable: bool = True, latched: bool = False) -> QoSProf
 
 LATCHED = profile(1, latched=True)
 QUEUED = profile(10)
-# The simulator's: reliable suits subscribers of either kind.
-OUTPUT_QOS = profile(1000)
+OUTPUT_QOS = profile(1000)  # the simulator's: reliable suits subscribers of either kind
 # Best effort takes from every publisher; the depth holds ten seconds of a process that stands.
 INPUT_QOS = profile(10_000, reliable=False)
 # What is shown may miss samples, and must not be late: the newest of each turn are enough.
@@ -90,8 +89,7 @@ DEFAULT_TYPES = {"position": "sensor_msgs/msg/JointState",
                  "effort": "sensor_msgs/msg/JointState",
                  "fluid_pressure": "sensor_msgs/msg/FluidPressure",
                  "temperature": "sensor_msgs/msg/Temperature", "data": "std_msgs/msg/Float64"}
-# The oil's temperature is slow: its last value counts.
-HELD = frozenset({"temperature"})
+HELD = frozenset({"temperature"})  # the oil's temperature is slow: its last value counts
 # What the diagnosis reads from recordings, and no stage of the live monitor.
 UNUSED = frozenset({"omega_d"})
 
