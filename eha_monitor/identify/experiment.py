@@ -114,25 +114,24 @@ class Watch:
     def _beyond(self, name: str, rows: np.ndarray) -> str:
         b = self._bounds
         if name != "x":
-            return lasting(rows, lambda v: v > b.pressure, f"{name} of", "Pa", b.pressure)
-        found = (lasting(rows, lambda v: v > b.upper, "position of", "m", b.upper)
-                 or lasting(-rows, lambda v: v > -b.lower, "position of", "m", -b.lower, -1.0))
+            return lasting(rows, b.pressure, f"{name} of", "Pa", b.pressure)
+        found = (lasting(rows, b.upper, "position of", "m", b.upper)
+                 or lasting(-rows, -b.lower, "position of", "m", -b.lower, -1.0))
         for what, unit, limit, kernel, extra in self._rates:
             if found or len(rows) < len(kernel):
                 break
             rates = np.abs(np.convolve(rows, kernel, "valid"))
-            found = lasting(rates, lambda v, most=limit + extra: v > most, f"{what} of", unit,
-                            limit)
+            found = lasting(rates, limit + extra, f"{what} of", unit, limit)
         return found
 
 
-def lasting(values: np.ndarray, beyond: Callable[[np.ndarray], np.ndarray], what: str, unit: str,
-            limit: float, sign: float = 1.0) -> str:
-    """Return in words by how much values are beyond a limit for ``STANDING`` samples, or ""."""
+def lasting(values: np.ndarray, most: float, what: str, unit: str, limit: float,
+            sign: float = 1.0) -> str:
+    """Return in words by how much values are beyond ``most`` for ``STANDING`` samples, or ""."""
     if len(values) < STANDING:
         return ""
     least = np.lib.stride_tricks.sliding_window_view(values, STANDING).min(axis=1)
-    if not beyond(least).any():
+    if not (least > most).any():
         return ""
     return (f"{what} {quantity(sign * float(least.max()), unit, 3)}, the limit is "
             f"{quantity(sign * limit, unit, 3)}")
@@ -250,32 +249,26 @@ def changes(contest: Contest, bounds: Bounds
     experiment, structures = contest.experiment, contest.structures
     rig, noise = experiment.settings.rig, experiment.settings.simulation.noise
     force = float(f"{LOAD * rig.area_1 * (bounds.pressure - rig.charge_pressure):.1g}")
-    load, place = NAMES.index("constant_load"), place_of("constant_load.F_0")
 
-    def moved(change) -> list[Structure]:
+    def moved(place: int, factor: float = 1.0, more: float = 0.0, effect: int | None = None
+              ) -> list[Structure]:
+        """Return the structures with one parameter changed, and perhaps one effect active."""
         found = []
         for one in structures:
             theta, active = one.fit.theta.copy(), one.fit.active.copy()
-            change(theta, active)
+            theta[place] = factor * theta[place] + more
+            if effect is not None:
+                active[effect] = True
             found.append(replace(one, fit=replace(one.fit, theta=theta, active=active)))
         return found
-
-    def loaded(theta, active):
-        theta[place] += force
-        active[load] = True
-
-    def warmer(theta, active):
-        theta[s.B] *= WARMER
-
-    def charged(theta, active):
-        theta[s.P_CHARGE] *= CHARGED
 
     higher = rig.model_copy(update={"charge_pressure": CHARGED * rig.charge_pressure})
     yield (f"a charge pressure of {quantity(higher.charge_pressure, 'Pa', 2)}",
            replace(experiment, settings=experiment.settings.model_copy(update={"rig": higher})),
-           moved(charged))
-    yield f"a constant load of {quantity(force, 'N', 1)} on the rod", experiment, moved(loaded)
-    yield "oil that is some 12 °C warmer", experiment, moved(warmer)
+           moved(s.P_CHARGE, CHARGED))
+    yield f"a constant load of {quantity(force, 'N', 1)} on the rod", experiment, moved(
+        place_of("constant_load.F_0"), more=force, effect=NAMES.index("constant_load"))
+    yield "oil that is some 12 °C warmer", experiment, moved(s.B, WARMER)
     for name, (words, level) in SENSORS.items():
         column = OUTPUTS.index(name)
         if experiment.used[column]:

@@ -39,17 +39,7 @@ from eha_monitor.estimation.stages import (
     engine_of,
     run_stage_two_kernel,
 )
-from eha_monitor.live.checks import (
-    JUDGE_EVERY_S,
-    JUDGED_S,
-    KEPT,
-    Fit,
-    Handover,
-    LiveHold,
-    LiveModel,
-    LivePlausibility,
-    Turns,
-)
+from eha_monitor.live import checks
 from eha_monitor.live.ingest import BATCH, BUFFER_S, WARM_UP, Columns, Gathered, Grid
 from eha_monitor.live.state import (
     Change,
@@ -83,21 +73,21 @@ class LiveEstimator:
     ``turns`` : shared with the other estimators of the thread, if there are any.
     """
 
-    def __init__(self, settings: Settings, turns: Turns | None = None):
+    def __init__(self, settings: Settings, turns: checks.Turns | None = None):
         self._given = settings
-        self._turns = turns or Turns()
+        self._turns = turns or checks.Turns()
         self._events: list[Event] = []
         self._now = 0.0
         self.reset("")
 
     def reset(self, reason: str) -> None:
         """Forget everything, estimates included; ``reason`` goes into the events."""
-        self._hold = LiveHold(self._given)
+        self._hold = checks.LiveHold(self._given)
         self.settings = self._hold.settings
         self.dt = self.settings.rig.sample_time
         self._gathered, self._grid = Gathered(), None
-        self._state = LiveState(self.settings, Handover(self.settings),
-                                LiveModel(self.settings), list(NOISE_AGAIN_S))
+        self._state = LiveState(self.settings, checks.Handover(self.settings),
+                                checks.LiveModel(self.settings), list(NOISE_AGAIN_S))
         self._checkpoints = Checkpoints()
         self._model: RigModel | None = None
         self._no_force = self._no_drive = None
@@ -105,7 +95,7 @@ class LiveEstimator:
         self._lag, self._context = LAG, CONTEXT
         self._temperature: float | None = None
         self._channels, self._news = frozenset(), 0  # set up for; rows with others
-        self._plausible = LivePlausibility(self.settings)
+        self._plausible = checks.LivePlausibility(self.settings)
         self._ranges, self._beyond = ranges_of(self.settings), ("", math.nan)
         self._shown: tuple = (None, {})  # the last parameters and what they were judged from
         if reason:
@@ -359,7 +349,7 @@ class LiveEstimator:
                 self._turns.took(self)
             if news:
                 self._report("monitor", news)
-        if (state.taken - state.tester.judged_at) * self.dt >= JUDGE_EVERY_S:
+        if (state.taken - state.tester.judged_at) * self.dt >= checks.JUDGE_EVERY_S:
             self._judge()
         estimates = self._parameters()
         state.tester.follow(self._now, estimates)
@@ -378,11 +368,11 @@ class LiveEstimator:
                                   self._parameters(), state.quantum, self._grid.time_of):
             self._report(found.stage, f"mismatch: {found.message.partition(': ')[2]}")
         for stage in state.stages:
-            stage.forget(*KEPT)
+            stage.forget(*checks.KEPT)
         standing = [stage for stage in STAGES if tester.standing(stage)]
         if standing:
             tester.look_beside(self._now, self._rows)
-        start = state.taken - round(JUDGED_S / self.dt)
+        start = state.taken - round(checks.JUDGED_S / self.dt)
         self._look_beyond(start, now)
         if not standing or start < self._grid.buffer.first or not tester.trying.due(now):
             return
@@ -399,7 +389,7 @@ class LiveEstimator:
                        self.settings.rig.position_gain) if self._ranges else ""
         if words and not self._beyond[0]:
             self._report("monitor", words)
-        since = self._beyond[1] if words and self._beyond[0] else now - JUDGED_S
+        since = self._beyond[1] if words and self._beyond[0] else now - checks.JUDGED_S
         self._beyond = words, since if words else math.nan
 
     def rehearse(self) -> None:
@@ -410,7 +400,7 @@ class LiveEstimator:
         for stage in STAGES:
             state.tester.try_again(stage, self._inputs(start), state.damping, self._now)
 
-    def _adopt(self, stage: str, fit: Fit, start: int) -> None:
+    def _adopt(self, stage: str, fit: checks.Fit, start: int) -> None:
         """Carry on from a window that fits: what came before it no longer counts."""
         state, buffer = self._state, self._grid.buffer
         self._report(stage, "the model fits again since t = "
