@@ -562,8 +562,7 @@ def _time(row: dict) -> float:
     return nanoseconds_of(row["start"]) * 1e-9 if row.get("start") else 0.0
 
 
-def _value(row: dict, name: str, command: str, at_reference: bool
-           ) -> tuple[float, float] | None:
+def _value(row: dict, name: str, command: str, at_reference: bool) -> tuple[float, float] | None:
     """Return a value and its stddev; of an indicator, of what differs between recordings."""
     key = COLUMN_OF.get(name, f"{name}_after" if command == "diagnose" else name)
     key += "_reference" * at_reference

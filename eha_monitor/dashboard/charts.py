@@ -99,8 +99,7 @@ def estimate_frame(scale: Scale) -> dict:
         _line("doubted", "in doubt", _DOUBTED, lineStyle={
             "color": _DOUBTED, "width": 1.5, "type": "dotted"}),
         _line("limits", "", _INK)]
-    legend = ["estimate", {"name": "±1σ", "icon": "rect", "itemStyle": {"opacity": 1}},
-              "in doubt"]
+    legend = ["estimate", {"name": "±1σ", "icon": "rect", "itemStyle": {"opacity": 1}}, "in doubt"]
     return _zoomable(_frame(_time_of_day(), scale.unit, series, legend))
 
 

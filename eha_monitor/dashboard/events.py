@@ -191,7 +191,6 @@ def write_acknowledgements(path: Path, given: dict[str, Acknowledgement]) -> Non
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
     except OSError as problem:
-        raise InputError(f"{path.parent}: cannot make the folder: {problem.strerror}"
-                         ) from problem
+        raise InputError(f"{path.parent}: cannot make the folder: {problem.strerror}") from problem
     write_bytes(path, json.dumps({name: asdict(one) for name, one in given.items()},
                                  indent=1).encode())

@@ -393,8 +393,7 @@ class State:
     def view(self, now: float) -> View:
         """Return the present state; ``now`` in s, monotonic."""
         with self._lock:
-            silence = {name: now - n.came
-                       for name, n in (self._values | self._positions).items()}
+            silence = {name: now - n.came for name, n in (self._values | self._positions).items()}
             silence["estimates"] = min(silence[symbol] for symbol in self._values)
             silence["health"] = now - self._health_came
             findings = self._findings

@@ -186,8 +186,7 @@ class SimulatedRig:
 
     def _demanded(self, time: np.ndarray) -> np.ndarray:
         """Return x_d at each time, m; behind its end the demand is held."""
-        return np.interp(time / self._dt - self._began, np.arange(len(self._demand)),
-                         self._demand)
+        return np.interp(time / self._dt - self._began, np.arange(len(self._demand)), self._demand)
 
     def position(self) -> float:
         """Return where the piston is held, m."""
@@ -479,8 +478,7 @@ def planned_tree(planned: Planned, dt: float) -> dict:
                           for key, value in planned.peaks.items()}}
 
 
-def tree(rounds: list[Round], bags: list[str], bounds: Bounds, wanted: float, dt: float
-         ) -> dict:
+def tree(rounds: list[Round], bags: list[str], bounds: Bounds, wanted: float, dt: float) -> dict:
     """Return an experiment as plain data, without its diagnosis."""
     last = rounds[-1]
     return {

@@ -218,8 +218,7 @@ class Contest:
         for i, one in enumerate(self.structures[1:], 1):
             model = one.fit.theta, one.fit.active
             own = tuple(f for f in one.fit.free if f.name not in shared)
-            more = free_slopes(replace(one.fit, free=own), model,
-                               [f"{i}:{f.name}" for f in own])
+            more = free_slopes(replace(one.fit, free=own), model, [f"{i}:{f.name}" for f in own])
             names = {f.name for f in one.fit.free}
             self._absorbing.append([one for one in self._base if one.label in names] + more)
             self._slopes += [Slope(f"set {i}", model), *more]

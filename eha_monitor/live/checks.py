@@ -182,8 +182,7 @@ class LiveHold:
             return
         other = with_hold(self._given, SAMPLED)
         held = run_stage_two_kernel(StageInputs.of(rows, other), other, damping, variance)
-        self.apart = abs(
-            float(found.state.x[C_PLACE] / max(held.state.x[C_PLACE], 1e-9)) - 1.0)
+        self.apart = abs(float(found.state.x[C_PLACE] / max(held.state.x[C_PLACE], 1e-9)) - 1.0)
 
 
 class LivePlausibility:

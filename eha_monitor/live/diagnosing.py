@@ -348,8 +348,7 @@ def effects_in_words(answer: Answer) -> str:
 def model_finding(adopted: Adopted | None) -> Finding:
     """Return which model is in force, who put it there and when."""
     if adopted is None:
-        return Finding(MODEL_IN_FORCE, "OK", "the model of the config is in force",
-                       {"adopted": 0})
+        return Finding(MODEL_IN_FORCE, "OK", "the model of the config is in force", {"adopted": 0})
     return Finding(MODEL_IN_FORCE, "OK", f"the config's model with {adopted.words} is in force: "
                    f"adopted by {adopted.who} at {adopted.time_utc}", {
                        "adopted": 1, "who": adopted.who, "time_utc": adopted.time_utc,
@@ -371,8 +370,7 @@ def answer_findings(answer: Answer | None) -> list[Finding]:
         "bag": ", ".join(map(str, answer.bags)), "report": str(answer.folder / "report.html"),
         "json": str(answer.folder / "diagnosis.json"),
         "config": str(answer.folder / "completed.yaml"), "wall_s": answer.wall_s})]
-    for one in (*tree.get("effects", []), *tree.get("rig_data", []),
-                *tree.get("rig_within", [])):
+    for one in (*tree.get("effects", []), *tree.get("rig_data", []), *tree.get("rig_within", [])):
         values: dict[str, float | int | str] = {}
         if one.get("probability") is not None:
             values["probability"] = float(one["probability"])

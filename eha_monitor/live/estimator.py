@@ -343,8 +343,7 @@ class LiveEstimator:
         self._checkpoints.keep(state, self.dt)
         if self._plausible.due(self._now, (buffer.end - buffer.first) * self.dt) and (
                 self._turns.free(self)):
-            news = self._plausible.examine(
-                self._now, buffer.recording(buffer.first, buffer.end))
+            news = self._plausible.examine(self._now, buffer.recording(buffer.first, buffer.end))
             if news is not None:
                 self._turns.took(self)
             if news:
@@ -504,8 +503,7 @@ class LiveEstimator:
         state = self._state
         events, self._events = tuple(sorted(self._events, key=lambda e: e.time_s)), []
         estimates = self._parameters()
-        model = within(state.tester.status(self._now, estimates),
-                       *self._beyond)
+        model = within(state.tester.status(self._now, estimates), *self._beyond)
         runs = state.one or state.two
         position, velocity = map(float, runs.state.x[:2]) if runs else (math.nan, math.nan)
         return self._plausible.applied(LiveSnapshot(

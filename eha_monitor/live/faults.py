@@ -226,8 +226,7 @@ class Stillness:
         if not past or reference in self.frozen:
             return False
         covered = self._widest[reference]
-        recent = [(low, high) for at, low, high in past
-                  if (self._now_ns - at) * 1e-9 < seconds]
+        recent = [(low, high) for at, low, high in past if (self._now_ns - at) * 1e-9 < seconds]
         if not recent or covered <= 0:
             return False
         moved = max(high for _, high in recent) - min(low for low, _ in recent)

@@ -204,8 +204,7 @@ class RowAligner:
         source.taken += len(batch.stamps)
         source.add_all(batch.stamps, batch.values, batch.came)
 
-    def push(self, source: Source, stamp_ns: int, values: tuple[float, ...],
-             now: float) -> None:
+    def push(self, source: Source, stamp_ns: int, values: tuple[float, ...], now: float) -> None:
         """Take one sample of a source; ``now`` in s on a clock that only rises."""
         last = source.last_ns
         ordinary = last is not None and 0 < stamp_ns - last <= FAR_AHEAD_NS
@@ -233,8 +232,7 @@ class RowAligner:
             return self._before.pop(0) if self._before else self._rows(0, now)
         leader = self._leader
         leader.settle()
-        awaited = [s.last_ns for s in self._followers
-                   if not s.held and now - s.heard_s < SILENT_S]
+        awaited = [s.last_ns for s in self._followers if not s.held and now - s.heard_s < SILENT_S]
         count = len(leader.stamps)
         if awaited:
             limit = min(-2**63 if last is None else last for last in awaited)

@@ -14,7 +14,7 @@ from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
 from eha_monitor.dashboard.events import ACKNOWLEDGED, EventLog
-from eha_monitor.dashboard.state import State
+from eha_monitor.dashboard.state import Actuator, State
 from eha_monitor.errors import InputError, installs
 from eha_monitor.health.alarms import WATCHED
 from eha_monitor.live.rows import Source
@@ -29,8 +29,7 @@ from eha_monitor.settings import Settings
 FOLLOW_PERIOD, TAKE_PERIOD = 1.0, 0.05  # s
 
 
-def position_topic(settings: Settings, source: str,
-                   resolve: Callable[[str], str] = str) -> Topic:
+def position_topic(settings: Settings, source: str, resolve: Callable[[str], str] = str) -> Topic:
     """Return the topic of the measured position, and of its streams only that one."""
     for topic in topics_of(settings, source, resolve):
         for entry in topic.entries:
@@ -136,9 +135,7 @@ def run_dashboard(config: Path | None, ros_args: list[str], served: Served,
     is wrong.
     """
     with _optional("dashboard", "dashboard"):
-        from eha_monitor.dashboard.events import EventLog
         from eha_monitor.dashboard.serve import claim, metrics_text, serving
-        from eha_monitor.dashboard.state import Actuator
     metrics = None
     if served.metrics:
         with _optional("--metrics", "dashboard"):

@@ -154,8 +154,7 @@ class TopicReader:
         for stream in self._streams:
             stream.entry.source.by_receipt = unstamped
 
-    def read(self, messages: Sequence[bytes], came: np.ndarray, now_ns: np.ndarray
-             ) -> list[Batch]:
+    def read(self, messages: Sequence[bytes], came: np.ndarray, now_ns: np.ndarray) -> list[Batch]:
         """Return the samples of each stream in some messages, of which there is one at least.
 
         ``came``, ``now_ns`` : (n,) when each was received: s, monotonic, and ns on the node's
@@ -206,8 +205,7 @@ class TopicReader:
             if len(layout.template) == len(data) and layout.fits(table_of([data]))[0]:
                 return layout
         every = (want for wants in self._wants for want in wants)
-        layout = locate(data, self._types, self._type,
-                        (*every, *(STAMP if self._stamped else ())))
+        layout = locate(data, self._types, self._type, (*every, *(STAMP if self._stamped else ())))
         if len(self._layouts) < LAYOUTS:
             self._layouts.append(layout)
         return layout

@@ -303,8 +303,7 @@ class SelfDiagnosis:
                        f"{answer.words}")
         service = self._services["diagnose"]
         service.take_up()
-        service.answer(not answer.problem, answer.problem or (
-            f"{answer.words}; {answer.folder}"))
+        service.answer(not answer.problem, answer.problem or f"{answer.words}; {answer.folder}")
         if (not answer.problem and self._settings.diagnosis.adopt == AUTOMATIC
                 and self._coming is None):
             self._consider(answer)
@@ -364,8 +363,7 @@ class SelfDiagnosis:
         self._target = None if answer is None else Adopted(
             by, "", effects_in_words(answer), str(answer.folder / "report.html"),
             model_of(self._settings), model_of(answer.completed), answer.spread)
-        settings = self._settings if self._target is None else self._target.applied(
-            self._settings)
+        settings = self._settings if self._target is None else self._target.applied(self._settings)
         since_s = max(self._now_s - PAST_S, self._since_s or 0.0)
         self._coming = self._make_candidate(settings, np.inf if self._gate else since_s)
         if self._gate:

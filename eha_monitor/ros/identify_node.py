@@ -129,8 +129,7 @@ class RosRig:
             return Ran(Recording(self._settings.rig.sample_time, {}, source=name), job.aborted,
                        job.asked)
         self._folder.mkdir(parents=True, exist_ok=True)
-        with BagWriter(bag, dict(job.kept.keys()),
-                       overwrite=self._overwrite) as writer:
+        with BagWriter(bag, dict(job.kept.keys()), overwrite=self._overwrite) as writer:
             for received, topic, data in sorted(
                     (received, topic, data) for (topic, _), messages in job.kept.items()
                     for received, data in messages):

@@ -12,6 +12,10 @@ from lifecycle_msgs.srv import ChangeState
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 
 from eha_monitor.errors import InputError
+from eha_monitor.live.checks import Turns
+from eha_monitor.live.estimator import LiveEstimator
+from eha_monitor.live.ingest import BATCH
+from eha_monitor.physics.simulator import Simulator
 from eha_monitor.ros import running
 from eha_monitor.ros.monitor_node import Monitor
 from eha_monitor.ros.parameters import MONITOR_KEYS, declare, settings_of_node
@@ -51,7 +55,7 @@ class ManagedMonitor(running.WithoutEvents, LifecycleNode):
     """
 
     def __init__(self, settings: Settings, source: str = "config", name: str = "monitor",
-                 estimator_factory: Callable[[Settings], object] | None = None):
+                 estimator_factory: Callable[[Settings], object] = LiveEstimator):
         super().__init__(name, namespace=settings.monitor.namespace,
                          automatically_declare_parameters_from_overrides=True)
         self.monitor: Monitor | None = None  # while configured, else None
@@ -151,10 +155,6 @@ def warm_up() -> None:
 
     Otherwise the first hand-over stops the node for a second while messages come.
     """
-    from eha_monitor.live.estimator import LiveEstimator
-    from eha_monitor.live.ingest import BATCH
-    from eha_monitor.physics.simulator import Simulator
-
     settings = Settings()
     estimator, simulator = LiveEstimator(settings), Simulator(settings)
     for start in range(0, WARM_UP_ROWS, BATCH):
@@ -186,9 +186,6 @@ def run_monitor(config: Path | None, ros_args: list[str], duration: float | None
             update={"machine": str(machine)})}), source) for settings, source in wanted]
     if not actuators:
         running.refuse_another_rig(wanted[0][0])
-    from eha_monitor.live.checks import Turns
-    from eha_monitor.live.estimator import LiveEstimator
-
     factory = partial(LiveEstimator, turns=Turns())
     with running.ros_session(ros_args), ExitStack() as stack:
         nodes = [stack.enter_context(running.made("monitor", ManagedMonitor, *which,

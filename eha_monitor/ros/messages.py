@@ -30,8 +30,7 @@ DIAGNOSIS = "monitor/diagnosis"
 LEVELS = {"OK": DiagnosticStatus.OK, "WARN": DiagnosticStatus.WARN,
           "ERROR": DiagnosticStatus.ERROR, "STALE": DiagnosticStatus.STALE}
 # How serious it is that a parameter has a status.
-ESTIMATE_LEVELS = {"converged": "OK", "not_excited": "OK", "diverged": "ERROR",
-                   "no_data": "STALE"}
+ESTIMATE_LEVELS = {"converged": "OK", "not_excited": "OK", "diverged": "ERROR", "no_data": "STALE"}
 DOUBLE = struct.Struct("<xBxxd")  # a Float64 as it is sent, behind the encapsulation
 _SECTIONS = {watched.symbol: watched.section for watched in WATCHED}
 _LEVEL_NAMES = {level: name for name, level in LEVELS.items()}
@@ -178,8 +177,7 @@ class Outputs:
 
     def state(self, time_ns: int, name: str, position: float, velocity: float) -> None:
         """Publish the estimated motion, m and m/s, at a stamp in ns."""
-        self._publish(self._state, joint_state(
-            time_ns, name, position, velocity, self._frame))
+        self._publish(self._state, joint_state(time_ns, name, position, velocity, self._frame))
 
     def health(self, findings: list[Finding]) -> None:
         """Publish the health, latched, and as diagnostics."""

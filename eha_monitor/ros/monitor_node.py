@@ -17,6 +17,7 @@ from eha_monitor.estimation.results import Event, ModelStatus, ParameterEstimate
 from eha_monitor.health.alarms import Alarm, AlarmBoard
 from eha_monitor.health.overload import BEHIND_S, LatencyMeter, ProcessorMeter
 from eha_monitor.live.diagnosing import Candidate
+from eha_monitor.live.estimator import LiveEstimator
 from eha_monitor.live.faults import CONSEQUENCES, FaultWatch
 from eha_monitor.live.rows import RowAligner, Rows
 from eha_monitor.ros.diagnosis import SelfDiagnosis
@@ -48,10 +49,8 @@ class Monitor:
     """
 
     def __init__(self, node: Node, settings: Settings,
-                 estimator_factory: Callable[[Settings], object] | None = None,
+                 estimator_factory: Callable[[Settings], object] = LiveEstimator,
                  source: str = "config", active: bool = True):
-        if estimator_factory is None:
-            from eha_monitor.live.estimator import LiveEstimator as estimator_factory
         self.node, self.settings = node, settings
         self._factory = estimator_factory
         self.board = AlarmBoard(settings)
@@ -220,8 +219,7 @@ class Monitor:
                 self._tick(time.monotonic())  # much has come at once
 
     def _give(self, rows: Rows) -> None:
-        steps = np.diff(rows.stamps, prepend=self._row_ns) * (
-            1e-9 / self.settings.rig.sample_time)
+        steps = np.diff(rows.stamps, prepend=self._row_ns) * (1e-9 / self.settings.rig.sample_time)
         # A long gap is an interruption, or a clock that was set: it is told as such, and nothing
         # is lost within it.
         longest = self.settings.monitor.stale_after / self.settings.rig.sample_time

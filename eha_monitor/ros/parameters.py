@@ -305,8 +305,7 @@ def with_namespace(settings: Settings, arguments: list[str], node: str) -> Setti
     namespace = settings.monitor.namespace
     for _, path in _files(arguments):
         tree = _tree(path)
-        for name, parameters in () if tree is None else ros_sections(
-                in_ros_form(tree, str(path))):
+        for name, parameters in () if tree is None else ros_sections(in_ros_form(tree, str(path))):
             monitor = parameters.get("monitor") if isinstance(parameters, dict) else None
             if name in (ANY_NODE, f"{ANY_NODE}/{node}", f"/{node}") and isinstance(monitor, dict):
                 namespace = monitor.get("namespace", namespace)

@@ -25,8 +25,7 @@ def topics_to_record(settings: Settings) -> tuple[str, ...]:
     """Return the input topics of the channel map and what the monitor publishes."""
     inputs = dict.fromkeys(channel.topic for channel in settings.channels.values()
                            if channel.topic)
-    outputs = [f"monitor/{watched.section}{end}" for watched in WATCHED
-               for end in ("", "_stddev")]
+    outputs = [f"monitor/{watched.section}{end}" for watched in WATCHED for end in ("", "_stddev")]
     return (*inputs, *outputs, ESTIMATES, "monitor/joint_states", "monitor/health", "/diagnostics")
 
 
@@ -42,8 +41,7 @@ class Recorder:
         # those that nobody has published so far
         self.waiting = dict.fromkeys(node.resolve_topic_name(topic) for topic in topics)
         self._poll()
-        node.create_timer(POLL_PERIOD, self._poll,
-                          clock=Clock(clock_type=ClockType.STEADY_TIME))
+        node.create_timer(POLL_PERIOD, self._poll, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def _poll(self) -> None:
         for topic in list(self.waiting):

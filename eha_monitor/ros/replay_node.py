@@ -11,6 +11,7 @@ from pathlib import Path
 from rclpy.experimental import EventsExecutor
 from rclpy.node import Node
 from rclpy.publisher import Publisher
+from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rosbags.rosbag2 import ReaderError
 from rosbags.rosbag2.metadata import parse_qos
@@ -190,8 +191,6 @@ class Keyboard:
 
 def bar_of(bag: Path) -> Progress:
     """Return a progress bar as long as a bag, s, with one task: on a terminal, else unseen."""
-    from rich.console import Console
-
     seen = sys.stderr.isatty()
     times = [block.times for _, block in Bag(bag).blocks() if seen and len(block.times)]
     total = (max(t.max() for t in times) - min(t.min() for t in times)) * 1e-9 if times else None
@@ -213,8 +212,7 @@ def run_replay(bag: Path, ros_args: list[str], rate: float = 1.0, clock: bool = 
         replay = Replay(node, Path(bag), rate, clock, start_paused)
         start = time.monotonic()
         try:
-            with (running.until_shutdown(), Keyboard().listen() as keys,
-                  bar_of(Path(bag)) as bar):
+            with (running.until_shutdown(), Keyboard().listen() as keys, bar_of(Path(bag)) as bar):
                 replay.play(keys, bar)
                 while loop and running.ok():
                     replay.play(keys, bar)

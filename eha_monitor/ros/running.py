@@ -197,8 +197,7 @@ def configured(config: Path | None, ros_args: list[str], name: str) -> tuple[Set
 
     Raises InputError if the config or a parameter file is wrong.
     """
-    return (with_namespace(load_settings(config), ros_args, name),
-            str(config or "default config"))
+    return (with_namespace(load_settings(config), ros_args, name), str(config or "default config"))
 
 
 def actuators(config: Path | None, given: tuple[str, ...], ros_args: list[str], name: str

@@ -65,8 +65,7 @@ class SimulatorNode:
         self.samples = self.messages = 0
         follows = settings.simulation.demand == "topic"
         self._commands = _Commands(node, settings, source) if follows else None
-        self._simulator = Simulator(settings, seed, source,
-                                    self._commands.at if follows else None)
+        self._simulator = Simulator(settings, seed, source, self._commands.at if follows else None)
         published = set(settings.simulation.publish) - ({"x_d"} if follows else set())
         self._streams = _streams(node, settings, source, published)
         self._step_ns = settings.rig.sample_time * 1e9
@@ -162,8 +161,7 @@ class _Commands:
         return np.interp(time_s, (self._stamps - self.start_ns) * 1e-9, self._values)
 
 
-def _streams(node: Node, settings: Settings, source: str, published: set[str]
-             ) -> list[_Stream]:
+def _streams(node: Node, settings: Settings, source: str, published: set[str]) -> list[_Stream]:
     if unmapped := sorted(published - set(settings.channels)):
         raise InputError(f"{source}: simulation.publish: {unmapped[0]} has no entry in channels")
     frame = settings.frame_id

@@ -156,8 +156,7 @@ class Drain:
     ``node`` : its clock stamps messages that carry no stamp.
     """
 
-    def __init__(self, node: Node, inputs: list[TopicInput], aligner: RowAligner,
-                 keeper: Keeper):
+    def __init__(self, node: Node, inputs: list[TopicInput], aligner: RowAligner, keeper: Keeper):
         self._node, self._aligner, self._keeper = node, aligner, keeper
         self._inputs = sorted(inputs, key=lambda one: not one.leads)
         self._stream = cache(keeper.stream)
