@@ -439,10 +439,7 @@ def trend(time: np.ndarray, value: np.ndarray, stddev: np.ndarray) -> Trend | No
     chosen such that the weighted squares of the residuals add up to their degrees of freedom
     (Paule and Mandel 1982); it is 0 where the standard deviations explain the scatter.
 
-    Parameters
-    ----------
-    time : (n,) s since the epoch.
-    value, stddev : (n,) SI.
+    ``time`` (n,) in s since the epoch; ``value`` and ``stddev`` (n,) SI.
     """
     good = np.isfinite(time) & np.isfinite(value) & np.isfinite(stddev) & (stddev >= 0)
     time, value, stddev = time[good], value[good], stddev[good]

@@ -67,10 +67,8 @@ def _milliseconds(time_s: float, zone: int) -> int:
 def ends_of(first: float, now: float, span: float | None) -> tuple[float, float]:
     """Return the ends of a time axis, s: the last ``span`` s, as far as there is data.
 
-    Parameters
-    ----------
-    first : time of the oldest row, s; infinite where there is none.
-    span : s, or None for all there is.
+    ``first`` is the time of the oldest row, infinite where there is none; a ``span`` of None is
+    all.
     """
     oldest = min(first, now - _LEAST_SPAN)
     return (oldest if span is None else max(oldest, now - span)), now

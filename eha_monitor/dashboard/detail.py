@@ -108,10 +108,7 @@ _MOST_ROWS = 700  # rows of a line: more than a chart has pixels are not sent
 class Detail:
     """Builds the cards of an actuator into the current NiceGUI context and keeps them up to date.
 
-    Parameters
-    ----------
-    span : which time the charts show.
-    on_zoom : called when a stretch of time has been dragged on a chart.
+    ``span`` : which time the charts show; ``on_zoom`` is called when one has been dragged there.
     """
 
     def __init__(self, shown: Actuator, span: Span, on_zoom: Callable[[], None]):

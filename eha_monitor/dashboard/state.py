@@ -416,10 +416,7 @@ class State:
         Symbols: (time of day s, value, stddev, 1 where it is in doubt, else 0); stages: (time of
         day s, normalised innovation squared, variance ratio).
 
-        Parameters
-        ----------
-        now : s, monotonic.
-        since : time of day of the oldest row, s.
+        ``now`` in s, monotonic; ``since`` : time of day of the oldest row, s.
         """
         shift = self.time_of_day(0.0, now)
         with self._lock:

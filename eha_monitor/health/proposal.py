@@ -82,10 +82,7 @@ def healthy_of(source: str, symbol: str, time: np.ndarray, series: ParameterSeri
                settings: Settings, temperature: np.ndarray | None = None) -> Healthy | None:
     """Return a parameter of a recording with its extremes, or None where nothing was judged.
 
-    Parameters
-    ----------
-    time : (n,) s.
-    temperature : (n,) °C, or None.
+    ``time`` (n,) in s; ``temperature`` (n,) in °C, or None.
     """
     if len(time) < 2 or len(series.value) == 0 or series.final.status != "converged":
         return None

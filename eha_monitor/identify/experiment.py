@@ -78,10 +78,7 @@ class Watch:
     Speed and acceleration are those of a parabola fitted to ``WINDOW`` s of positions
     (Savitzky and Golay 1964); what their noise may add is not counted.
 
-    Parameters
-    ----------
-    bounds : complete limits.
-    noise : standard deviation of the position, m.
+    The bounds are complete; ``noise`` is the standard deviation of the position, m.
     """
 
     def __init__(self, bounds: Bounds, dt: float, noise: float):
@@ -169,10 +166,7 @@ class Rig(Protocol):
 class SimulatedRig:
     """The simulated actuator of a config, in place of a rig: it goes on from motion to motion.
 
-    Parameters
-    ----------
-    settings : of the simulated actuator, effects and sensor noise included.
-    bounds : complete limits.
+    Settings with its effects and sensor noise; the bounds are complete.
     """
 
     def __init__(self, settings: Settings, bounds: Bounds, seed: int | None = None,

@@ -199,10 +199,8 @@ class Contest:
     All are seen as moves from the first, in the innovations of its filter; what another
     structure's own parameters can make up for is projected out.
 
-    Parameters
-    ----------
-    experiment : what is recorded; ``here`` is what it tells.
-    explained : effect -> log units that the recordings lose without it.
+    ``experiment`` is what is recorded, ``here`` what it tells; ``explained`` : effect -> log units
+    that the recordings lose without it.
     """
 
     def __init__(self, experiment: Experiment, structures: Sequence[Structure],

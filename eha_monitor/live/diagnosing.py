@@ -39,10 +39,7 @@ MODEL = ("rig", "effects", "command_hold")  # sections and keys of the config th
 class Candidate:
     """An estimator that is to take the place of the running one.
 
-    Parameters
-    ----------
-    estimator : with the other settings; knows no row yet.
-    past : rows to begin with, (times in s, columns), in order.
+    It knows no row yet; ``past`` are those to begin with, (times in s, columns), in order.
     """
 
     def __init__(self, estimator: LiveEstimator, past: Iterable[tuple[np.ndarray, Columns]]):

@@ -61,10 +61,7 @@ STEADY_S = 1.0  # of a new level without a leap, before it is taken for the sens
 class Leaps:
     """Which values of a channel lie where it cannot have come from its last good one.
 
-    Parameters
-    ----------
-    rate : per s, that it cannot exceed.
-    least_s : shortest time between rows, s.
+    ``rate`` per s it cannot exceed; ``least_s`` is the shortest time between rows, s.
     """
 
     def __init__(self, rate: float, least_s: float):

@@ -45,10 +45,7 @@ class Gathered:
 class LiveBuffer:
     """Rows ``first`` to ``end`` (absolute numbers) of the grid, NaN where nothing came.
 
-    Parameters
-    ----------
-    seconds : how much is kept at least.
-    seen : channels that came before, though not in these rows.
+    ``seconds`` are kept at least; ``seen`` are channels that came before, not in these rows.
     """
 
     def __init__(self, seconds: float, dt: float, seen: frozenset[str] = frozenset()):

@@ -22,10 +22,7 @@ _RANK = {"OK": 0, "WARN": 1, "ERROR": 2}  # what is not judged is neither better
 class Keeper:
     """Ring buffer, its saver, and the service ``monitor/save``.
 
-    Parameters
-    ----------
-    settings : validated config; ``monitor.buffer_minutes`` = 0 keeps nothing.
-    tell : called when there is news of a bag.
+    ``monitor.buffer_minutes`` = 0 keeps nothing; ``tell`` is called when there is news of a bag.
     """
 
     def __init__(self, node: Node, settings: Settings, tell: Callable[[], None]):
@@ -163,10 +160,8 @@ class LateTrigger:
     The events executor knows no coroutines: it hands whatever the callback returns to the
     service's ``send_response``, so the header is kept there until the answer is known.
 
-    Parameters
-    ----------
-    name : of the service.
-    begin : called for each request; returns a message if it is refused at once, else None.
+    ``begin`` is called for each request; it returns a message if that is refused at once, else
+    None.
     """
 
     def __init__(self, node: Node, name: str, begin: Callable[[], str | None]):

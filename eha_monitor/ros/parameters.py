@@ -237,10 +237,7 @@ def declare(node: Node, settings: Settings, keys: tuple[str, ...],
             on_change: Callable[[Settings], None] | None = None) -> None:
     """Declare the table on a node; thresholds may change at run time, validated as a config.
 
-    Parameters
-    ----------
-    node : from :func:`settings_of_node`.
-    on_change : called with the new settings after a change of the thresholds.
+    The node is from :func:`settings_of_node`; ``on_change`` is called with the new settings.
     """
     table = parameter_table(settings, keys)
     for entry in table:

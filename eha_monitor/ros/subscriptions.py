@@ -207,10 +207,7 @@ class Drain:
 class Load:
     """What is due, and how far the monitor is behind its inputs.
 
-    Parameters
-    ----------
-    jobs : period in s and what to do, of each thing that is due again and again.
-    stale_after : see :class:`LoadWatch`.
+    ``jobs`` : period in s and what to do, of each thing that is due again and again.
     """
 
     def __init__(self, jobs: Sequence[tuple[float, Callable[[], None]]], stale_after: float):
