@@ -102,10 +102,6 @@ class LatencyMeter:
     Where the stamps are on another clock than the wall's, it counts from the row's receipt.
 
     ``keep`` : latencies kept; 60 000 are one minute at 1 kHz.
-
-    Attributes
-    ----------
-    counts_from : ``stamp`` or ``receipt``.
     """
 
     def __init__(self, keep: int = 60_000):
@@ -138,7 +134,7 @@ class LatencyMeter:
 
     @property
     def counts_from(self) -> str:
-        """What the latencies count from."""
+        """What the latencies count from: ``stamp`` or ``receipt``."""
         return "stamp" if self._wall_clock else "receipt"
 
     def _add(self, seconds: np.ndarray) -> None:

@@ -447,18 +447,16 @@ def round_words(one: Round, count: int, dt: float) -> str:
     if one.rivals:
         head += "; else " + ", ".join(f"{set_words(names)} {percent(value)}"
                                       for names, value in list(one.rivals.items())[:3])
-    if one.end == DECIDED:
-        return f"{head}. Decided"
-    if one.end == TIME:
-        return f"{head}. The time is up: no motion fits into what is left of it"
-    if one.end == BALANCES:
-        return (f"{head}. This is the answer of least squares on the balances: no set of effects "
-                "explains all that the filter sees, so that no motion can be planned to decide "
-                f"between them{''.join(f'; {line}' for line in one.would)}")
-    if one.end == INSEPARABLE:
-        more = f"; what would: {'; '.join(one.would)}" if one.would else ""
-        return f"{head}. No motion within the limits distinguishes what is left{more}"
-    return f"{head}. Next: {plan_words(one.following, dt)}"
+    if not one.end:
+        return f"{head}. Next: {plan_words(one.following, dt)}"
+    would = f"; what would: {'; '.join(one.would)}" if one.would else ""
+    return f"{head}. " + {
+        DECIDED: "Decided",
+        TIME: "The time is up: no motion fits into what is left of it",
+        BALANCES: "This is the answer of least squares on the balances: no set of effects "
+                  "explains all that the filter sees, so that no motion can be planned to decide "
+                  f"between them{''.join(f'; {line}' for line in one.would)}",
+        INSEPARABLE: f"No motion within the limits distinguishes what is left{would}"}[one.end]
 
 
 def planned_tree(planned: Planned, dt: float) -> dict:

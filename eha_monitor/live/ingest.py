@@ -95,13 +95,7 @@ class LiveBuffer:
 
 
 class Grid:
-    """The buffer, and the times at which its rows stand.
-
-    Attributes
-    ----------
-    buffer : the last seconds.
-    origin : time of row 0, s.
-    """
+    """The buffer of the last seconds, and the times of its rows: row 0 is at ``origin``, s."""
 
     def __init__(self, origin: float, dt: float, seen: frozenset[str] = frozenset()):
         self.buffer, self.origin, self.dt = LiveBuffer(BUFFER_S, dt, seen), origin, dt

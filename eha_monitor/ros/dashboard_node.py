@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
-from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
@@ -23,7 +22,7 @@ from eha_monitor.ros import running
 from eha_monitor.ros.messages import DIAGNOSIS, findings_of, subscribe_to_monitor
 from eha_monitor.ros.parameters import settings_of_node
 from eha_monitor.ros.subscriptions import TopicInput
-from eha_monitor.ros.topics import LATCHED, SHOWN_QOS, Topic, topics_of
+from eha_monitor.ros.topics import LATCHED, SHOWN_QOS, Topic, every, topics_of
 from eha_monitor.settings import Settings
 
 FOLLOW_PERIOD, TAKE_PERIOD = 1.0, 0.05  # s
@@ -61,7 +60,7 @@ class Listener:
         for period, work in ((FOLLOW_PERIOD, self.measured.follow_graph),
                              (FOLLOW_PERIOD, lambda: self.state.watch(time.monotonic())),
                              (TAKE_PERIOD, self._take_measured)):
-            node.create_timer(period, work, clock=Clock(clock_type=ClockType.STEADY_TIME))
+            every(node, period, work)
         subscribe_to_monitor(node, self._take_number, self._take_estimated, self._take_health)
         node.create_subscription(
             DiagnosticArray, DIAGNOSIS, lambda message: self.state.take_diagnosis(

@@ -12,7 +12,6 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
-from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
 from eha_monitor.errors import InputError
@@ -34,6 +33,7 @@ from eha_monitor.live.ingest import Columns
 from eha_monitor.recordings.ring import Saved, plain_name
 from eha_monitor.ros.comparison import Comparison
 from eha_monitor.ros.keeper import Keeper, LateTrigger
+from eha_monitor.ros.topics import every
 from eha_monitor.settings import Settings
 
 POLL_PERIOD = 0.2
@@ -55,11 +55,6 @@ class SelfDiagnosis:
     publish : takes what ``monitor/diagnosis`` is to say.
     candidate : makes an estimator with other settings, from the rows since a time in s.
     exchange : puts an estimator with its settings in place of the running one.
-
-    Attributes
-    ----------
-    adopted : the model in force in place of the config's, None where there is none.
-    of_mismatch : what the last diagnosis says of the mismatch that stands; None before one.
     """
 
     def __init__(self, node: Node, settings: Settings, keeper: Keeper,
@@ -71,6 +66,7 @@ class SelfDiagnosis:
         self._log = node.get_logger()
         self._folder = Path(settings.monitor.save_folder)
         self._file = self._folder / f"{plain_name(settings.rig.name)}_adopted.json"
+        # the model in force in place of the config's, None where there is none
         self.adopted: Adopted | None = None
         self._answer: Answer | None = None
         self._running: Diagnosing | None = None
@@ -89,8 +85,7 @@ class SelfDiagnosis:
             ("diagnose", self._on_diagnose), ("adopt", self._on_adopt),
             ("revert", self._on_revert))}
         self._node = node
-        self._timer = node.create_timer(POLL_PERIOD, self._poll,
-                                        clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self._timer = every(node, POLL_PERIOD, self._poll)
         try:
             self.adopted = adopted_before(self._file, settings)
         except InputError as problem:
@@ -112,6 +107,7 @@ class SelfDiagnosis:
         self._waits = self._waits if self._waits == SERVICE else ""
         self._since_s: float | None = None
         self._tries, self._explained = 0, False
+        # what the last diagnosis says of the mismatch that stands; None before one
         self.of_mismatch: Answer | None = None
         self._same: list[Path] = []  # bags of this mismatch, of one state as far as is known
         self._saved_ns: int | None = None  # where the last of them ends

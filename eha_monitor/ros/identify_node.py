@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
@@ -21,7 +20,7 @@ from eha_monitor.ros import running
 from eha_monitor.ros.messages import joint_state
 from eha_monitor.ros.parameters import with_namespace
 from eha_monitor.ros.subscriptions import TopicInput
-from eha_monitor.ros.topics import OUTPUT_QOS, topics_of
+from eha_monitor.ros.topics import OUTPUT_QOS, every, topics_of
 from eha_monitor.settings.monitor import Experiment as Bounds
 from eha_monitor.settings.monitor import Settings
 
@@ -76,9 +75,8 @@ class RosRig:
         self._heard: dict[str, float] = {}
         self._told, self._stop = 0.0, ""
         self.started, self.seen = threading.Event(), threading.Event()
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        node.create_timer(TURN, self._turn, clock=steady)
-        node.create_timer(GRAPH, self._look, clock=steady)
+        every(node, TURN, self._turn)
+        every(node, GRAPH, self._look)
         node.create_service(Trigger, "identify/start", self._on_start)
         node.create_service(Trigger, "identify/stop", self._on_stop)
 

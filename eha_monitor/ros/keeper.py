@@ -4,13 +4,13 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from std_srvs.srv import Trigger
 
 from eha_monitor.health.alarms import Alarm
 from eha_monitor.recordings.ring import Ring, Saved, Saver
 from eha_monitor.recordings.write import TopicType
+from eha_monitor.ros.topics import every
 from eha_monitor.settings import Settings
 
 POLL_PERIOD = 0.1
@@ -45,8 +45,7 @@ class Keeper:
         self.last: Saved | None = None  # what came of the last attempt, or None
         self._last_good: Saved | None = None
         self._service = LateTrigger(node, "monitor/save", self._on_request)
-        self._timer = node.create_timer(POLL_PERIOD, self.poll,
-                                        clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self._timer = every(node, POLL_PERIOD, self.poll)
 
     def stream(self, topic: str, type_name: str, latched: bool = False) -> int:
         """Return the number under which a topic's messages are kept."""

@@ -7,7 +7,6 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.timer import Timer
 from std_srvs.srv import Trigger
@@ -25,7 +24,7 @@ from eha_monitor.ros.findings import DataState, all_findings, levels, unfed, wit
 from eha_monitor.ros.keeper import Keeper
 from eha_monitor.ros.messages import Outputs
 from eha_monitor.ros.subscriptions import DEMANDED, OPTIONAL, Drain, Load, TopicInput
-from eha_monitor.ros.topics import clashes, topics_of
+from eha_monitor.ros.topics import clashes, every, topics_of
 from eha_monitor.settings import Settings
 
 # Health is judged at this spacing of the data's own time, so that a replay at ten times the
@@ -109,13 +108,12 @@ class Monitor:
         self._note_stop(time.monotonic())
         self.inputs = [TopicInput(self.node, topic) for topic in self._topics]
         self.drain = Drain(self.node, self.inputs, self.aligner, self.keeper)
-        wall = Clock(clock_type=ClockType.STEADY_TIME)  # health must not stop with /clock
         self.load = Load(((1.0 / self.settings.monitor.publish_rate, self._publish_estimates),
                           (WATCH_PERIOD, self._watch),
                           (CLASHES_PERIOD, self._note_clashes),
                           (DIAGNOSTICS_PERIOD, self._every_second)),
                          self.settings.monitor.stale_after)
-        self._timers = [self.node.create_timer(self.load.period, self._work, clock=wall)]
+        self._timers = [every(self.node, self.load.period, self._work)]
         self._publish_health()
 
     def deactivate(self) -> None:

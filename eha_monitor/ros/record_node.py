@@ -4,7 +4,6 @@ import sys
 import time
 from pathlib import Path
 
-from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 
@@ -13,7 +12,7 @@ from eha_monitor.health.alarms import WATCHED
 from eha_monitor.recordings.write import BagWriter, TopicType
 from eha_monitor.ros import running
 from eha_monitor.ros.messages import ESTIMATES
-from eha_monitor.ros.topics import check_topic, message_class, profile
+from eha_monitor.ros.topics import check_topic, every, message_class, profile
 from eha_monitor.settings import Settings
 
 # Looking for publishers; rosbag2 does the same.
@@ -41,7 +40,7 @@ class Recorder:
         # those that nobody has published so far
         self.waiting = dict.fromkeys(node.resolve_topic_name(topic) for topic in topics)
         self._poll()
-        node.create_timer(POLL_PERIOD, self._poll, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        every(node, POLL_PERIOD, self._poll)
 
     def _poll(self) -> None:
         for topic in list(self.waiting):

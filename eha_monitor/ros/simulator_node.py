@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from std_srvs.srv import Trigger
@@ -17,7 +16,7 @@ from eha_monitor.physics.simulator import Simulator, demanded_position
 from eha_monitor.ros import running
 from eha_monitor.ros.parameters import SIMULATOR_KEYS, declare, settings_of_node
 from eha_monitor.ros.subscriptions import TopicInput
-from eha_monitor.ros.topics import HELD, OUTPUT_QOS, Entry, message_class, topics_of
+from eha_monitor.ros.topics import HELD, OUTPUT_QOS, Entry, every, message_class, topics_of
 from eha_monitor.settings import Settings
 
 # Samples go out in bursts of this spacing: fewer wake-ups, and little against 20 ms of latency.
@@ -77,7 +76,7 @@ class SimulatorNode:
         self._start = time.monotonic()
         if self._commands is not None:
             self._commands.start_ns = self._start_ns
-        node.create_timer(BURST, self._burst, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        every(node, BURST, self._burst)
         node.create_service(Trigger, "simulator/excite", self._on_excite)
 
     def _advance(self) -> None:

@@ -1,9 +1,10 @@
-"""Topics: which carry which channels, of which type and in which quality of service."""
+"""Topics: which carry which channels, of which type and in which quality of service; timers."""
 
 import importlib
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from rclpy.clock import Clock, ClockType
 from rclpy.exceptions import InvalidTopicNameException
 from rclpy.node import Node
 from rclpy.qos import (
@@ -13,6 +14,7 @@ from rclpy.qos import (
     ReliabilityPolicy,
     qos_check_compatible,
 )
+from rclpy.timer import Timer
 from rclpy.validate_topic_name import validate_topic_name
 
 from eha_monitor.errors import InputError
@@ -38,6 +40,11 @@ OUTPUT_QOS = profile(1000)  # the simulator's: reliable suits subscribers of eit
 INPUT_QOS = profile(10_000, reliable=False)
 # What is shown may miss samples, and must not be late: the newest of each turn are enough.
 SHOWN_QOS = profile(100, reliable=False)
+
+
+def every(node: Node, period: float, work: Callable[[], None]) -> Timer:
+    """Do some work every ``period`` s of real time: it must not stop with ``/clock``."""
+    return node.create_timer(period, work, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
 
 def crowd(node: Node, topic: str) -> str:
