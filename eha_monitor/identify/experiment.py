@@ -310,18 +310,14 @@ def identify(rig: Rig, planner: Planner,
              report: Report | None = None) -> Iterator[Round]:
     """Run motions until a set of effects has the probability asked for, or none can get it.
 
-    Raises InputError if the limits allow no motion, or what came cannot be diagnosed.
+    Yields a round after each motion; the last one has an ``end``.  Raises InputError if the
+    limits allow no motion, or what came cannot be diagnosed.
 
     Parameters
     ----------
     rig : what moves; ``planner`` knows config, limits and the probability asked for.
     check : of each recording before it is diagnosed; raises what is wrong with it.
     report : told what is done and how far it is, 0 to 1.
-
-    Yields
-    ------
-    Round
-        After each motion; the last one has an ``end``.
     """
     say = report or silent
     say("planning the first motion", 0.0)

@@ -13,16 +13,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from eha_monitor.balances.parameters import parameters_of
+from eha_monitor.estimation import hold_choice, stages
 from eha_monitor.estimation.consistency import AROUND, Window, judge, stage_verdict
 from eha_monitor.estimation.discretisation import C_PLACE
-from eha_monitor.estimation.hold_choice import (
-    AUTO,
-    CONTINUOUS,
-    SAMPLED,
-    for_stages,
-    resolved,
-    with_hold,
-)
 from eha_monitor.estimation.inputs import StageInputs
 from eha_monitor.estimation.model_watch import StageWatch, Trial, model_status, tainted_by
 from eha_monitor.estimation.results import (
@@ -39,12 +32,6 @@ from eha_monitor.estimation.results import (
     Taint,
     no_data,
     units_of,
-)
-from eha_monitor.estimation.stages import (
-    StageTwoRun,
-    run_from,
-    run_stage_one_kernel,
-    run_stage_two_kernel,
 )
 from eha_monitor.live.ingest import LiveBuffer
 from eha_monitor.plausibility.judge import Plausibility, plausibility_of
@@ -153,9 +140,10 @@ class LiveHold:
 
     def __init__(self, settings: Settings):
         self._given = settings
-        self._known = settings.command_hold != AUTO
+        self._known = settings.command_hold != hold_choice.AUTO
         # with the hold in force; replaced, never changed in place
-        self.settings = settings if self._known else with_hold(settings, CONTINUOUS)
+        self.settings = settings if self._known else hold_choice.with_hold(
+            settings, hold_choice.CONTINUOUS)
         self.sentence = ""  # what the rows say, "" before they do, or where the config says it
         # relative difference that it makes to beta_e while nothing tells the holds apart
         self.apart = 0.0
@@ -167,21 +155,21 @@ class LiveHold:
 
     def examine(self, now: float, rows: Recording) -> bool:
         """Examine the rows; True where they decide the hold now."""
-        settings, decision = resolved([rows], self._given)
+        settings, decision = hold_choice.resolved([rows], self._given)
         self._known = decision is not None and decision.decided
         self._backoff.answered(now, yes=self._known)
         if self._known:
             self.settings, self.sentence, self.apart = (
-                for_stages(settings, decision), decision.sentence, 0.0)
+                hold_choice.for_stages(settings, decision), decision.sentence, 0.0)
         return self._known
 
-    def compare(self, found: StageTwoRun, rows: Recording, damping: np.ndarray,
+    def compare(self, found: stages.StageTwoRun, rows: Recording, damping: np.ndarray,
                 variance: np.ndarray) -> None:
         """Take stage two's run over some rows; see what the other hold makes of them."""
         if self._known:
             return
-        other = with_hold(self._given, SAMPLED)
-        held = run_stage_two_kernel(StageInputs.of(rows, other), other, damping, variance)
+        other = hold_choice.with_hold(self._given, hold_choice.SAMPLED)
+        held = stages.run_stage_two_kernel(StageInputs.of(rows, other), other, damping, variance)
         self.apart = abs(float(found.state.x[C_PLACE] / max(held.state.x[C_PLACE], 1e-9)) - 1.0)
 
 
@@ -357,10 +345,10 @@ class LiveModel:
     def _run(self, stage: str, inputs: StageInputs, damping: tuple[float, float]) -> Fit:
         """Run a stage with one value of its parameter for the whole window."""
         if stage == "one":
-            out = run_stage_one_kernel(inputs, self.settings, frozen=True)[0]
+            out = stages.run_stage_one_kernel(inputs, self.settings, frozen=True)[0]
         else:
             b, variance = (np.full(inputs.rows, one) for one in damping)
-            out = run_from(0, inputs, self.settings, b, variance, frozen=True).out
+            out = stages.run_from(0, inputs, self.settings, b, variance, frozen=True).out
         about = STAGES[stage]
         parameter = about.judged(self.settings, out[about.value][-1], out[about.stddev][-1])
         innovation, stddev = out[about.innovation], out[about.innovation_stddev]

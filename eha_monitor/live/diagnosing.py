@@ -227,19 +227,10 @@ class Answer:
 
 
 class Diagnosing:
-    """One run of ``diagnose`` within its budget.
+    """One run of ``diagnose`` on bags of one machine in one state, the newest first.
 
-    Parameters
-    ----------
-    bags : of one machine in one state, the newest first.
-    settings : the config that they are diagnosed with; ``diagnosis`` is the budget.
-
-    Raises
-    ------
-    InputError
-        If the folder cannot be written.
-    OSError
-        If no process can be started.
+    ``settings`` are what it diagnoses with, and ``settings.diagnosis`` is its budget.  Raises
+    InputError if the folder cannot be written, OSError if no process can be started.
     """
 
     def __init__(self, bags: Sequence[Path], settings: Settings, folder: Path,

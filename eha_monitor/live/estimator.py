@@ -11,6 +11,7 @@ import numpy as np
 
 from eha_monitor.balances.parameters import parameters_of
 from eha_monitor.breakdown import begins_anew
+from eha_monitor.estimation import stages
 from eha_monitor.estimation.drive import LONGEST, takes_speed
 from eha_monitor.estimation.inputs import (
     REST_S,
@@ -32,13 +33,6 @@ from eha_monitor.estimation.results import (
 )
 from eha_monitor.estimation.rig_model import RigModel, missing, model_for, moved_mass
 from eha_monitor.estimation.sensors import noise_levels
-from eha_monitor.estimation.stages import (
-    LARGE,
-    constants_one,
-    constants_two,
-    engine_of,
-    run_stage_two_kernel,
-)
 from eha_monitor.live import checks
 from eha_monitor.live.ingest import BATCH, BUFFER_S, WARM_UP, Columns, Gathered, Grid
 from eha_monitor.live.state import (
@@ -220,9 +214,9 @@ class LiveEstimator:
             max(circuit[s.COMMAND_DELAY], circuit[s.FEEDBACK_DELAY]) / self.dt)
         self._measure_noise()
         if self._no_force is None:
-            constants = constants_one(inputs, settings)._replace(R=self._state.r)
-            self._state.one = LiveStageOne.new(engine_of(settings)[0], self._model, constants,
-                                               settings.stage_one.prior)
+            constants = stages.constants_one(inputs, settings)._replace(R=self._state.r)
+            self._state.one = LiveStageOne.new(stages.engine_of(settings)[0], self._model,
+                                               constants, settings.stage_one.prior)
 
     def _measure_noise(self) -> None:
         state, buffer = self._state, self._grid.buffer
@@ -317,7 +311,7 @@ class LiveEstimator:
             if not state.tester.standing(stage.key):  # else it makes up for what the model lacks
                 self._report(stage.key, f"{SYMBOLS[stage.parameter]} changed from "
                              f"{quantity(before, unit)} to {quantity(after, unit)}", number)
-            if stage is TWO and abs(after / before - 1.0) > LARGE:
+            if stage is TWO and abs(after / before - 1.0) > stages.LARGE:
                 state.stale_piece = True  # run again from the bank once some seconds show it
             if stage is ONE:
                 state.piece = max(number - window, buffer.first)
@@ -462,11 +456,11 @@ class LiveEstimator:
         b[edge:], variance[edge:] = value, stddev**2
         b[np.isnan(b)], variance[np.isnan(variance)] = value, stddev**2
         inputs = self._inputs(start)
-        found = run_stage_two_kernel(inputs, self.settings, b, variance)
+        found = stages.run_stage_two_kernel(inputs, self.settings, b, variance)
         check(found.out, LiveStageTwo.sigma)
         self._hold.compare(found, buffer.recording(start, stop), b, variance)
-        constants = constants_two(inputs, self.settings)._replace(R=state.r)
-        two = LiveStageTwo(run=engine_of(self.settings)[1], model=self._model,
+        constants = stages.constants_two(inputs, self.settings)._replace(R=state.r)
+        two = LiveStageTwo(run=stages.engine_of(self.settings)[1], model=self._model,
                            constants=constants, state=found.state, b_variance=variance[-1])
         if two.held and self._parameters()["beta_e"].status == "converged":
             return  # the buffer, begun anew after a gap, tells less

@@ -65,13 +65,9 @@ class LiveStage:
              ) -> tuple[np.ndarray, list[Change]]:
         """Take samples ``first`` to ``stop`` of some inputs.
 
-        ``damping`` : for stage two, B and its variance.  Raises FloatingPointError if numbers that
-        no rig has broke the filter.
-
-        Returns
-        -------
-        out, changes
-            (rows, stop) as the stage writes it, from ``first`` on; and the changes seen.
+        ``damping`` : for stage two, B and its variance.  Returns (rows, stop) as the stage writes
+        it, from ``first`` on, and the changes seen.  Raises FloatingPointError if numbers that no
+        rig has broke the filter.
         """
         out, changes = np.empty((self.rows, stop)), []
         while first < stop:  # block by block, as a change may end in another beginning

@@ -85,13 +85,7 @@ class TopicInput:
         self.type, self.reader, self._type_problem = wanted, reader, None
 
     def take(self) -> tuple[list[bytes], list[int], int]:
-        """Take what waits.
-
-        Returns
-        -------
-        messages, received_ns, sent_ns
-            Messages as they came, when each was received, and when the first was sent.
-        """
+        """Take what waits: messages, when each was received, and when the first was sent, ns."""
         messages, received, sent_ns = [], [], 0
         subscription = self._subscription
         if subscription is not None:
