@@ -321,7 +321,7 @@ class Series:
         """Whether growth is told, for the last or for an earlier value since the last jump."""
         return self._tracker is not None and self._tracker.certain
 
-    def forecast(self, seed: int = 0) -> Forecast:
+    def forecast(self) -> Forecast:
         """Return what is known now."""
         tracker = self._tracker
         if tracker is None:
@@ -335,7 +335,7 @@ class Series:
         if not tracker.certain or tracker.active < 0.5:
             status = STEADY if odds < 1.0 or tracker.certain else NOT_YET
             return Forecast(status, self.limit, odds=odds, jumps=jumps)
-        passage = first_passage(tracker, share, np.random.default_rng(seed))
+        passage = first_passage(tracker, share, np.random.default_rng(0))
         early, middle, late = np.quantile(passage, TAILS, method="inverted_cdf")
         return Forecast(TOLD, self.limit, float(early), float(middle), float(late), odds, jumps)
 

@@ -12,7 +12,6 @@ from collections import deque
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
-from itertools import islice
 from pathlib import Path
 
 from eha_monitor.errors import InputError
@@ -61,11 +60,10 @@ class EventLog:
             self.count += 1
             self._events.append(Event(change.kind, change.level, change.text, time_s, actuator))
 
-    def latest(self, most: int = MOST, without: str = "") -> list[Event]:
-        """Return the last events, the newest first, without those of one kind."""
+    def latest(self, without: str = "") -> list[Event]:
+        """Return the events that are kept, the newest first, without those of one kind."""
         with self._lock:
-            return list(islice((event for event in reversed(self._events)
-                                if event.kind != without), most))
+            return [event for event in reversed(self._events) if event.kind != without]
 
     def csv(self) -> str:
         """Return all events as CSV, the oldest first; times in UTC."""

@@ -100,12 +100,10 @@ class LatencyMeter:
     """How long after a row's stamp the first estimates that know of it were published.
 
     Where the stamps are on another clock than the wall's, it counts from the row's receipt.
-
-    ``keep`` : latencies kept; 60 000 are one minute at 1 kHz.
     """
 
-    def __init__(self, keep: int = 60_000):
-        self._values = np.empty(keep)
+    def __init__(self):
+        self._values = np.empty(60_000)  # one minute at 1 kHz
         self._count = 0
         self._wall_clock: bool | None = None
         self._waiting: deque[tuple[np.ndarray, np.ndarray]] = deque(maxlen=WAITING)
