@@ -182,10 +182,7 @@ def acknowledgements(path: Path) -> dict[str, Acknowledgement]:
 
 
 def write_acknowledgements(path: Path, given: dict[str, Acknowledgement]) -> None:
-    """Write them; see :func:`acknowledgements`.
-
-    Raises InputError if the place cannot be written.
-    """
+    """Write what :func:`acknowledgements` reads; raises InputError if that cannot be written."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
     except OSError as problem:

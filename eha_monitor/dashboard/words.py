@@ -130,10 +130,7 @@ def clock_text(time_s: float) -> str:
 
 
 def last_data(view: state.View, now: float) -> tuple[bool, str]:
-    """Return whether data come, and when the last ones came.
-
-    ``now`` : time of day, s since the epoch.
-    """
+    """Return whether data come, and when the last did; ``now`` : s since the epoch."""
     age = min(view.silence["measured"], view.silence["estimates"])
     if math.isinf(age):
         return False, "no data yet"

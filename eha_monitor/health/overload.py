@@ -39,10 +39,7 @@ class Overload:
 
 
 class LoadWatch:
-    """Judges how the monitor keeps up.
-
-    ``stale_after`` : older data count as stale, s.
-    """
+    """Judges how the monitor keeps up; data older than ``stale_after`` s count as stale."""
 
     def __init__(self, stale_after: float):
         self._stale_after = stale_after

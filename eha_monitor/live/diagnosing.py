@@ -114,10 +114,7 @@ class Adopted:
         return replace(snapshot, parameters=parameters)
 
     def save(self, path: Path) -> None:
-        """Write it, for the next start.
-
-        Raises InputError if the place cannot be written.
-        """
+        """Write it, for the next start; raises InputError if the place cannot be written."""
         write_json(path, {"schema": SCHEMA} | asdict(self))
 
 

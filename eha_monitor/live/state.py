@@ -190,10 +190,7 @@ class LiveStageOne(LiveStage):
 
 @dataclass(kw_only=True)
 class LiveStageTwo(LiveStage):
-    """Stage two, from a state that a run over some rows left.
-
-    ``b_variance`` is that of the damping taken last.
-    """
+    """Stage two, from a state that a run left; ``b_variance`` is of the damping taken last."""
 
     b_variance: float
     rows, sigma = 8, 4

@@ -81,10 +81,7 @@ class RosRig:
         node.create_service(Trigger, "identify/stop", self._on_stop)
 
     def position(self) -> float:
-        """Return where the piston is held, m.
-
-        Raises InputError if no position comes.
-        """
+        """Return where the piston is held, m; raises InputError if no position comes."""
         if not self.seen.wait(PATIENCE):
             channel = self._settings.channels["x"]
             raise InputError(f"{self._node.resolve_topic_name(channel.topic)}: no position came "
@@ -92,10 +89,7 @@ class RosRig:
         return float(self._demanded if np.isfinite(self._demanded) else self._measured)
 
     def ready(self) -> None:
-        """Wait until somebody follows the command.
-
-        Raises InputError if nobody does, or somebody else commands.
-        """
+        """Wait until somebody follows the command; InputError if none does or another commands."""
         topic, own = self._node.resolve_topic_name(COMMAND), self._node.get_name()
         end = time.monotonic() + PATIENCE
         while not any(info.node_name != own

@@ -70,10 +70,7 @@ class ManagedMonitor(running.WithoutEvents, LifecycleNode):
                 service.callback = self._guarded(service.callback)
 
     def start(self, active: bool = True) -> None:
-        """Configure, and activate unless it is to wait for that.
-
-        Raises InputError if it cannot work as it is configured.
-        """
+        """Configure, and activate unless it is to wait; raises InputError if it cannot work so."""
         self.trigger_configure()
         if active and self.monitor is not None:
             self.trigger_activate()

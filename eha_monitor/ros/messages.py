@@ -140,10 +140,7 @@ def subscribe_to_monitor(node: Node, take_number: Callable[[str, str, float], No
 
 
 class Outputs:
-    """The monitor's publishers.
-
-    ``settings`` : validated config; names frame and hardware.
-    """
+    """The monitor's publishers; ``settings`` name frame and hardware."""
 
     def __init__(self, node: Node, keeper: Keeper, settings: Settings):
         self._node, self._keeper = node, keeper

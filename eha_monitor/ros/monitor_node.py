@@ -42,10 +42,7 @@ CLASHES_PERIOD = 1.5  # to ask the graph for all ends of all topics costs 1.6 ms
 
 
 class Monitor:
-    """Estimator, alarms and their topics on a node.
-
-    ``active`` : whether to begin at once; else :meth:`activate` begins.
-    """
+    """Estimator, alarms and topics on a node; unless ``active``, :meth:`activate` begins."""
 
     def __init__(self, node: Node, settings: Settings,
                  estimator_factory: Callable[[Settings], object] = LiveEstimator,

@@ -29,10 +29,7 @@ def topics_to_record(settings: Settings) -> tuple[str, ...]:
 
 
 class Recorder:
-    """Subscribes to topics as they appear and writes what comes.
-
-    ``topics`` : names, relative or absolute.
-    """
+    """Subscribes to topics, relative or absolute, as they appear and writes what comes."""
 
     def __init__(self, node: Node, writer: BagWriter, topics: tuple[str, ...]):
         self.writer = writer

@@ -54,10 +54,7 @@ class _Stream:
 
 
 class SimulatorNode:
-    """Publishes samples in real time, each with its exact stamp.
-
-    ``seed`` : seed of the sensor noise; None takes the config's.
-    """
+    """Publishes samples in real time, each with its exact stamp; seed None is the config's."""
 
     def __init__(self, node: Node, settings: Settings, seed: int | None = None,
                  source: str = "config"):

@@ -182,10 +182,7 @@ def check_topic(name: str) -> None:
 
 
 def message_class(type_name: str) -> type:
-    """Return the class of a message type such as ``sensor_msgs/msg/JointState``.
-
-    Raises InputError if its package is not installed.
-    """
+    """Return the class of a type as ``std_msgs/msg/Float64``; InputError if not installed."""
     parts = type_name.split("/")
     try:
         if len(parts) != 3:
