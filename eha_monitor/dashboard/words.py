@@ -196,10 +196,7 @@ def local_times(finding: Finding) -> str:
 
 
 def estimate_status(view: state.View, section: str, stage: str) -> tuple[str, bool]:
-    """Return the status of a parameter in words, and whether its value must not be used.
-
-    ``section`` : of its alarms; ``stage`` that estimates it, by name.
-    """
+    """Return the status of a parameter in words, and whether its value must not be used."""
     finding = view.findings.get(stage)
     status = str(finding.values.get("status", "")) if finding else ""
     if finding is None or not status:

@@ -164,10 +164,7 @@ class Rig(Protocol):
 
 
 class SimulatedRig:
-    """The simulated actuator of a config, in place of a rig: it goes on from motion to motion.
-
-    Settings with its effects and sensor noise; the bounds are complete.
-    """
+    """The simulated actuator of a config, in place of a rig: it goes on from motion to motion."""
 
     def __init__(self, settings: Settings, bounds: Bounds, seed: int | None = None,
                  source: str = "config"):

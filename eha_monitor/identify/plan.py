@@ -347,10 +347,7 @@ class Planner:
 
     def best(self, contest: Contest, position: float, left: float, ran: Collection[str] = ()
              ) -> Planned | None:
-        """Return the motion to run next; None where the limits allow none in ``left`` s.
-
-        ``ran`` : names of motions that are not run again.
-        """
+        """Return the motion to run next, none of ``ran``; None where none fits into ``left`` s."""
         found: list[Planned] = []
         for motion in candidates(self.limits):
             if motion.name in ran:

@@ -62,10 +62,7 @@ MOST_CHANGES = 200  # of each stage that are kept
 
 
 class LiveEstimator:
-    """The monitor's pipeline on live rows; knows nothing of ROS.
-
-    ``turns`` : shared with the other estimators of the thread, if there are any.
-    """
+    """The monitor's pipeline on live rows, without ROS; ``turns`` are shared within a thread."""
 
     def __init__(self, settings: Settings, turns: checks.Turns | None = None):
         self._given = settings
@@ -134,10 +131,7 @@ class LiveEstimator:
         return begin
 
     def _place(self, times: np.ndarray, columns: Columns) -> None:
-        """Put rows to their places on the grid; after a long gap begin another one.
-
-        Parameters stay over it, states and buffered rows do not.
-        """
+        """Put rows to their places; over a long gap parameters stay, states and buffer do not."""
         while (done := self._grid.place(times, columns, self._state.taken)) < len(times):
             times, columns = times[done:], {name: values[done:]
                                             for name, values in columns.items()}
@@ -264,10 +258,7 @@ class LiveEstimator:
             self._grid.time_of(start) - self._began)
 
     def _inputs(self, start: int) -> StageInputs:
-        """Return the stages' inputs of rows that were filtered, from ``start`` on.
-
-        The rows after them are needed to read late channels.
-        """
+        """Return the inputs of filtered rows from ``start`` on; later rows show late channels."""
         return self._inputs_from(start).part(0, self._state.taken - start)
 
     def _rows(self, seconds: float) -> Recording:

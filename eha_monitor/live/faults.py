@@ -325,10 +325,7 @@ class FaultWatch:
                 if key.partition(" ")[0] not in without]
 
     def look(self, now: float) -> dict[str, int]:
-        """Compare with the last look; return channels found frozen now, and since when, ns.
-
-        ``now`` in s, on the clock of :meth:`RowAligner.push`.
-        """
+        """Compare with the last look; return channels found frozen now, and since when, ns."""
         before, self._looked = self._looked, True
         for source in self._sources:
             past = self._past[source.name]

@@ -106,10 +106,7 @@ class Grid:
         return self.origin + number * self.dt
 
     def place(self, times: np.ndarray, columns: Columns, taken: int) -> int:
-        """Put rows to their places, up to a long gap; return how many.
-
-        ``taken`` : rows of the grid that have been filtered: they stand.
-        """
+        """Put rows to their places, up to a long gap; return how many.  Those ``taken`` stand."""
         buffer, long, done = self.buffer, LONG_GAP_S / self.dt, 0
         while done < len(times):
             places = (times[done:] - self.origin) / self.dt

@@ -242,9 +242,7 @@ class TopicReader:
     def _come_apart(self, now: list[Layout]) -> bool:
         """Tell whether what a message lacks is brought by others: joints of other messages.
 
-        Not where an entry has never come, or came beside joints that now come without it.
-
-        ``now`` : layouts of the messages that are read.
+        Not where an entry has never come, or came beside joints that come without it ``now``.
         """
         for stream in self._streams:
             names = {True: [], False: []}

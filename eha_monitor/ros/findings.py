@@ -227,9 +227,6 @@ def _coming(inputs: Sequence[TopicInput], settings: Settings) -> set[str]:
 
 
 def with_bags(findings: Sequence[Finding], bags: Mapping[str, str]) -> list[Finding]:
-    """Return findings of which each alarm names the bag of the moment in which it was raised.
-
-    ``bags`` : alarm -> bag; "" while the bag is due.
-    """
+    """Return findings of which each alarm names its bag: by alarm, "" while that is due."""
     return [one if (bag := bags.get(one.name)) is None else replace(
         one, values=one.values | ({"bag": bag} if bag else {"bag_due": 1})) for one in findings]

@@ -42,11 +42,6 @@ def stamp(time_ns: int) -> Time:
     return Time(sec=min(max(seconds, -2**31), 2**31 - 1), nanosec=nanoseconds)
 
 
-def number(value: float) -> Float64:
-    """Return a number as a message."""
-    return Float64(data=float(value))
-
-
 def joint_state(time_ns: int, name: str, position: float, velocity: float,
                 frame: str = "") -> JointState:
     """Return the estimated state of one joint, m and m/s; an unknown velocity is left out."""
@@ -167,7 +162,7 @@ class Outputs:
             if estimate.status != "no_data":
                 for output, value in zip(self._numbers[symbol],
                                          (estimate.value, estimate.stddev), strict=True):
-                    self._publish(output, number(value))
+                    self._publish(output, Float64(data=float(value)))
         self._publish(self._estimates, estimates(
             time_ns, self._frame, [found[symbol] for symbol in self._numbers if symbol in found],
             model, self._hardware))

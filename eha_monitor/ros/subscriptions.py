@@ -199,10 +199,7 @@ class Drain:
 
 
 class Load:
-    """What is due, and how far the monitor is behind its inputs.
-
-    ``jobs`` : period in s and what to do, of each thing that is due again and again.
-    """
+    """What is due again and again (period in s, job), and how far the monitor is behind."""
 
     def __init__(self, jobs: Sequence[tuple[float, Callable[[], None]]], stale_after: float):
         now = time.monotonic()
