@@ -9,11 +9,10 @@ from rclpy.node import Node
 from sensor_msgs.msg import JointState
 
 from eha_monitor.health.alarms import ALARM_NAMES, WATCHED, Watched
-from eha_monitor.health.judge import Finding
+from eha_monitor.health.judge import MISMATCH, Finding
 from eha_monitor.health.overload import OVERLOADED
 from eha_monitor.quantity import SYMBOLS, with_uncertainty
 from eha_monitor.ros import running
-from eha_monitor.ros.findings import MISMATCH
 from eha_monitor.ros.messages import findings_of, subscribe_to_monitor
 
 _LINE_EVERY = 1.0  # s

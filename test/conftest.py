@@ -79,7 +79,7 @@ class Graph:
 
     def node(self, name, namespace="", parameters=(), **options):
         """Make a node as the commands make theirs."""
-        from eha_monitor.ros.without_events import QuietNode
+        from eha_monitor.ros.running import QuietNode
 
         made = QuietNode(
             name, namespace=namespace, parameter_overrides=list(parameters), **options,

@@ -22,6 +22,14 @@ DATA = ROOT.parent / "shared" / "data"  # the real recordings: not here, as they
 A, B, C_T, D_P, K_POS, M, T_S, V0, BETA = (
     5.05e-4, 600.0, 5e-13, 1.6925e-7, 23000.0, 20.0, 1e-3, 6.85e-5, 6e8)
 
+
+
+def one_by_one(rows):
+    """Return (stamp, channel -> value, where it has one) of each of the aligned rows."""
+    return [(int(stamp), {name: float(values[k]) for name, values in rows.columns.items()
+                          if np.isfinite(values[k])}) for k, stamp in enumerate(rows.stamps)]
+
+
 TRIANGLE = {"kind": "triangle", "amplitude": 0.04, "frequency": 0.25}
 SINE = {"kind": "sine", "amplitude": 0.01, "frequency": 4.0}
 MULTISINE = {"kind": "multisine", "amplitude": 0.02, "frequency": 0.3, "frequency_end": 20.0,

@@ -46,7 +46,7 @@ class Actuator:
         now = time.time_ns()
         for k, (publisher, ending) in enumerate(self._numbers):
             value = (self.damping, 6e8)[k // 2]
-            publisher.publish(messages.number(0.01 * value if ending else value))
+            publisher.publish(Float64(data=float(0.01 * value if ending else value)))
         for publisher in self._states:
             publisher.publish(messages.joint_state(now, "piston", 0.01, 0.0))
         findings = [Finding(name, self.level if name == HIGH else "OK", f"{name} as told")

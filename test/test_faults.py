@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from rig_tools import BETA, SINE, simulated
+from rig_tools import BETA, SINE, one_by_one, simulated
 from test_live_estimator import Stream, rows_of
 
 from eha_monitor.live.faults import HELD_S, REACH_S, FaultWatch, Leaps
@@ -37,7 +37,7 @@ class Rig:
 
     def take(self):
         rows = self.watch.take(self.aligner.pop(self.now))
-        self.rows += [(stamp, row) for stamp, row, _ in rows]
+        self.rows += one_by_one(rows)
 
     def send(self, count, spoil=lambda k, name, values: [(0, values)], rate=1.0):
         """Send samples; ``spoil`` returns for each (stamp's offset in ms, values) to be sent."""

@@ -31,11 +31,8 @@ class Place:
 def is_archive(path: Path, wanted: bool = False) -> bool:
     """Tell whether a path is no bag itself but a folder that holds bags.
 
-    Parameters
-    ----------
-    path : what the command line names.
-    wanted : the command line asks for a table.  A folder with one .mcap file in it and no
-        metadata.yaml, which else is read as a bag, is then an archive that has just begun.
+    ``wanted`` : the command line asks for a table.  A folder with one .mcap file in it and no
+    metadata.yaml, which else is read as a bag, is then an archive that has just begun.
     """
     if not path.is_dir() or (path / METADATA).exists():
         return False
@@ -52,9 +49,7 @@ def is_archive(path: Path, wanted: bool = False) -> bool:
 
 def find_bags(folder: Path) -> list[Place]:
     """Return the bags below a folder, by name; a folder that cannot be listed is one of them."""
-    found: dict[str, Place] = {}
-    for place in bags_below(folder, top=True):
-        found[place.name] = place
+    found = {place.name: place for place in bags_below(folder, top=True)}
     return [found[name] for name in sorted(found, key=natural)]
 
 

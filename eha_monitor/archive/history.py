@@ -113,25 +113,16 @@ def logsum(values: np.ndarray) -> float:
 
 @dataclass
 class Tracker:
-    """Takes the values of a series one by one.
+    """Takes the values of a series one by one."""
 
-    Parameters
-    ----------
-    unit : usual time between two recordings, s.
-    scale : noise that the first differences show, in units of the way to the limit.
-
-    Attributes
-    ----------
-    certain : the odds have reached ``CERTAIN``, and have not fallen below one since: the bound
-        on false alarms holds for their largest value, so what was certain once stays so until a
-        jump (a repair) is more likely than not.
-    """
-
-    unit: float
-    scale: float
+    unit: float  # usual time between two recordings, s
+    scale: float  # noise that the first differences show, in units of the way to the limit
     bank: Bank = None
     time: float = np.nan
     count: int = 0
+    # the odds have reached ``CERTAIN``, and have not fallen below one since: the bound on false
+    # alarms holds for their largest value, so what was certain once stays so until a jump (a
+    # repair) is more likely than not
     certain: bool = False
     paths: list = field(default_factory=lambda: [()])
 
@@ -269,25 +260,18 @@ def collapsed(bank: Bank, which: np.ndarray) -> tuple[float, float, float, int]:
 
 @dataclass(frozen=True)
 class Forecast:
-    """When a value reaches its limit.
+    """When a value reaches its limit."""
 
-    Attributes
-    ----------
-    status : ``told``, ``beyond`` (it is there), ``cannot_be_told_yet``, ``no_growth``,
-        ``no_limit``.
-    limit : in the unit of the values; NaN without one.
-    early, middle, late : 5, 50 and 95 % of the time of the first passage, s since the epoch;
-        inf where that share of the possibilities never reaches it.
-    odds : of growth against none.
-    jumps : times of the first values after a jump, s since the epoch.
-    """
-
+    # ``told``, ``beyond`` (it is there), ``cannot_be_told_yet``, ``no_growth``, ``no_limit``
     status: str
-    limit: float = np.nan
+    limit: float = np.nan  # in the unit of the values; NaN without one
+    # early, middle, late: 5, 50 and 95 % of the time of the first passage, s since the epoch; inf
+    # where that share of the possibilities never reaches it
     early: float = np.nan
     middle: float = np.nan
     late: float = np.nan
-    odds: float = np.nan
+    odds: float = np.nan  # of growth against none
+    # times of the first values after a jump, s since the epoch
     jumps: tuple[float, ...] = field(default=())
 
 
@@ -337,7 +321,7 @@ class Series:
         """Whether growth is told, for the last or for an earlier value since the last jump."""
         return self._tracker is not None and self._tracker.certain
 
-    def forecast(self, seed: int = 0) -> Forecast:
+    def forecast(self) -> Forecast:
         """Return what is known now."""
         tracker = self._tracker
         if tracker is None:
@@ -351,23 +335,17 @@ class Series:
         if not tracker.certain or tracker.active < 0.5:
             status = STEADY if odds < 1.0 or tracker.certain else NOT_YET
             return Forecast(status, self.limit, odds=odds, jumps=jumps)
-        passage = first_passage(tracker, share, np.random.default_rng(seed))
+        passage = first_passage(tracker, share, np.random.default_rng(0))
         early, middle, late = np.quantile(passage, TAILS, method="inverted_cdf")
         return Forecast(TOLD, self.limit, float(early), float(middle), float(late), odds, jumps)
 
 
 @dataclass(frozen=True)
 class Outlook:
-    """What a series says of its past and future.
+    """What a series says of its past and future."""
 
-    Attributes
-    ----------
-    jumps : times of the first values after a jump, s since the epoch.
-    forecasts : one for each limit.
-    """
-
-    jumps: tuple[float, ...] = ()
-    forecasts: tuple[Forecast, ...] = ()
+    jumps: tuple[float, ...] = ()  # times of the first values after a jump, s since the epoch
+    forecasts: tuple[Forecast, ...] = ()  # one for each limit
 
 
 @lru_cache(maxsize=64)
@@ -433,23 +411,17 @@ LEAST = 3  # values through which a line is laid
 
 @dataclass(frozen=True)
 class Trend:
-    """A straight line: ``value`` = ``level`` + ``slope`` (t - ``middle``).
+    """A straight line: ``value`` = ``level`` + ``slope`` (t - ``middle``)."""
 
-    Attributes
-    ----------
-    slope, slope_stddev : SI unit per s.
-    level, level_stddev : at ``middle``, s since the epoch, where both are uncorrelated.
-    scatter : standard deviation from one recording to the next beyond what theirs explain.
-    count : values.
-    """
-
+    # slope, slope_stddev: SI unit per s
     slope: float
     slope_stddev: float
+    # level, level_stddev: at ``middle``, s since the epoch, where both are uncorrelated
     level: float
     level_stddev: float
     middle: float
-    scatter: float
-    count: int
+    scatter: float  # standard deviation from one recording to the next beyond what theirs explain
+    count: int  # values
 
     def at(self, time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the line and its standard deviation at times (n,), s since the epoch."""
@@ -467,10 +439,7 @@ def trend(time: np.ndarray, value: np.ndarray, stddev: np.ndarray) -> Trend | No
     chosen such that the weighted squares of the residuals add up to their degrees of freedom
     (Paule and Mandel 1982); it is 0 where the standard deviations explain the scatter.
 
-    Parameters
-    ----------
-    time : (n,) s since the epoch.
-    value, stddev : (n,) SI.
+    ``time`` (n,) in s since the epoch; ``value`` and ``stddev`` (n,) SI.
     """
     good = np.isfinite(time) & np.isfinite(value) & np.isfinite(stddev) & (stddev >= 0)
     time, value, stddev = time[good], value[good], stddev[good]
@@ -515,33 +484,22 @@ COLUMN_OF = {indicator: column for column, indicator in INDICATORS.items()}
 
 @dataclass(frozen=True)
 class History:
-    """One parameter over the recordings, in order of time; arrays are (n,).
+    """One parameter over the recordings, in order of time; arrays are (n,)."""
 
-    Attributes
-    ----------
-    name : ``B``, ``beta_e`` or an indicator of health; ``unit`` is that of the values.
-    time : s since the epoch.
-    value, stddev : SI.
-    reliable : converged, untainted, and made with this config and source.
-    usable : what the line goes through: the reliable ones; where they are fewer than three, those
-        that only the model's mismatch speaks against.
-    line : through the usable ones since the last jump, or None.
-    outlook : jumps, and the time to each limit.
-    undated : recordings with a value whose stamps are no calendar time.
-    at_reference : the values are B at the reference temperature.
-    """
-
-    name: str
+    name: str  # ``B``, ``beta_e`` or an indicator of health; ``unit`` is that of the values
     unit: str
-    time: np.ndarray
+    time: np.ndarray  # s since the epoch
+    # value, stddev: SI
     value: np.ndarray
     stddev: np.ndarray
-    reliable: np.ndarray
+    reliable: np.ndarray  # converged, untainted, and made with this config and source
+    # what the line goes through: the reliable ones; where they are fewer than three, those that
+    # only the model's mismatch speaks against
     usable: np.ndarray
-    line: Trend | None
-    undated: int
-    at_reference: bool
-    outlook: Outlook = field(default_factory=Outlook)
+    line: Trend | None  # through the usable ones since the last jump, or None
+    undated: int  # recordings with a value whose stamps are no calendar time
+    at_reference: bool  # the values are B at the reference temperature
+    outlook: Outlook = field(default_factory=Outlook)  # jumps, and the time to each limit
 
     @property
     def since(self) -> float:
@@ -560,7 +518,6 @@ def history(rows: Sequence[dict], name: str, command: str, made_with: str,
 
     Parameters
     ----------
-    rows : of the table.
     command : ``estimate`` takes its own value, ``diagnose`` the one with the named effects.
     made_with : rows with another digest are shown, and do not count.
     settings : its limits are those of the forecast.
@@ -602,8 +559,7 @@ def _time(row: dict) -> float:
     return nanoseconds_of(row["start"]) * 1e-9 if row.get("start") else 0.0
 
 
-def _value(row: dict, name: str, command: str, at_reference: bool
-           ) -> tuple[float, float] | None:
+def _value(row: dict, name: str, command: str, at_reference: bool) -> tuple[float, float] | None:
     """Return a value and its stddev; of an indicator, of what differs between recordings."""
     key = COLUMN_OF.get(name, f"{name}_after" if command == "diagnose" else name)
     key += "_reference" * at_reference

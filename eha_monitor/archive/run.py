@@ -26,10 +26,8 @@ def on_this_machine(function: Callable, arguments: Sequence, jobs: int, alone: i
                     apart: bool = True) -> Answers:
     """Answer in ``jobs`` processes.
 
-    Parameters
-    ----------
-    alone : this many go first, one by one: they compile for all.
-    apart : whether each process keeps to its share of the cores.
+    So many as ``alone`` go first, one by one: they compile for all.  ``apart`` : whether each
+    process keeps to its share of the cores.
     """
     todo = list(arguments)
     suspects: list = []
@@ -102,10 +100,7 @@ def _end_with_parent() -> None:
 class Cluster:
     """An existing Dask cluster; a context that ends the connection.
 
-    Raises
-    ------
-    InputError
-        If there is no ``distributed``, no scheduler at the address, or no worker.
+    Raises InputError if there is no ``distributed``, no scheduler at the address, or no worker.
     """
 
     def __init__(self, address: str):

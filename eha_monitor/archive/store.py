@@ -169,15 +169,13 @@ class Store:
             self._journal = self._journal_path.open("a", encoding="utf-8")
             if new:
                 self._line({"folder": self.folder})
-        except BlockingIOError as problem:
+        except BaseException as problem:
             self._close()
-            raise InputError(f"{self.table}: another run is writing it; wait for its end, or "
-                             "name another folder with --out") from problem
-        except OSError as problem:
-            self._close()
-            raise InputError(f"{self._out}: cannot write: {problem.strerror}") from problem
-        except BaseException:
-            self._close()
+            if isinstance(problem, BlockingIOError):
+                raise InputError(f"{self.table}: another run is writing it; wait for its end, or "
+                                 "name another folder with --out") from problem
+            if isinstance(problem, OSError):
+                raise InputError(f"{self._out}: cannot write: {problem.strerror}") from problem
             raise
         return self
 
@@ -265,10 +263,7 @@ class Store:
 def read_table(path: Path) -> tuple[list[dict], str]:
     """Return the rows of a table, times as ISO text as in the journal, and its folder.
 
-    Raises
-    ------
-    InputError
-        If the file is no table of this form.
+    Raises InputError if the file is no table of this form.
     """
     import pyarrow
     import pyarrow.parquet

@@ -20,7 +20,7 @@ from eha_monitor.archive.find import Place, find_bags, stamp_of
 from eha_monitor.archive.store import INDICATORS, PARAMETERS, Store, check_parquet, iso_time
 from eha_monitor.commands.common import Archive, end_as_on_interrupt, progress_bar
 from eha_monitor.errors import InputError
-from eha_monitor.health.alarms import NOT_JUDGED, SEVERITY, Alarm
+from eha_monitor.health.judge import NOT_JUDGED, SEVERITY, Alarm
 from eha_monitor.indicators.indicator import Indicator
 from eha_monitor.output import PACKAGE, finite, source_digest, write_text
 from eha_monitor.settings import Settings, load_settings

@@ -24,8 +24,7 @@ _MARGIN = 0.13
 _OFF_THE_LINE = (5, 8)  # of a line's label along and across it, pixels
 # The time axis is at least this long; it grows to the whole span as the history does, s.
 _LEAST_SPAN = 30.0
-# A value that is less sure than this share of itself does not stretch the axis.
-_UNSURE = 0.3
+_UNSURE = 0.3  # a value that is less sure than this share of itself does not stretch the axis
 
 
 def _frame(time_axis: dict, value_name: str, series: list[dict], legend: list,
@@ -68,10 +67,8 @@ def _milliseconds(time_s: float, zone: int) -> int:
 def ends_of(first: float, now: float, span: float | None) -> tuple[float, float]:
     """Return the ends of a time axis, s: the last ``span`` s, as far as there is data.
 
-    Parameters
-    ----------
-    first : time of the oldest row, s; infinite where there is none.
-    span : s, or None for all there is.
+    ``first`` is the time of the oldest row, infinite where there is none; a ``span`` of None is
+    all.
     """
     oldest = min(first, now - _LEAST_SPAN)
     return (oldest if span is None else max(oldest, now - span)), now
@@ -100,8 +97,7 @@ def estimate_frame(scale: Scale) -> dict:
         _line("doubted", "in doubt", _DOUBTED, lineStyle={
             "color": _DOUBTED, "width": 1.5, "type": "dotted"}),
         _line("limits", "", _INK)]
-    legend = ["estimate", {"name": "±1σ", "icon": "rect", "itemStyle": {"opacity": 1}},
-              "in doubt"]
+    legend = ["estimate", {"name": "±1σ", "icon": "rect", "itemStyle": {"opacity": 1}}, "in doubt"]
     return _zoomable(_frame(_time_of_day(), scale.unit, series, legend))
 
 

@@ -8,10 +8,9 @@ from collections.abc import Callable
 from nicegui import ui
 
 from eha_monitor.dashboard import charts, words
-from eha_monitor.dashboard.events import MISMATCH
 from eha_monitor.dashboard.state import STAGES, Actuator, Span, State, View, alarms, thinned
 from eha_monitor.health.alarms import ALARM_NAMES, NO_LIMIT, WATCHED, Watched
-from eha_monitor.health.judge import DIAGNOSIS, MACHINE
+from eha_monitor.health.judge import DIAGNOSIS, MACHINE, MISMATCH
 from eha_monitor.quantity import NOTE, SYMBOLS, readable
 
 
@@ -102,20 +101,14 @@ async def ask_for_acknowledgement(state: State, alarm: str) -> None:
     dialog.on("hide", dialog.delete)
 
 
-# Where the scale of the drawing shrinks: not at each pause of the motion.
-_SHRINK = 4.0
-# Rows of a line: more than a chart has pixels are not sent.
-_MOST_ROWS = 700
+_SHRINK = 4.0  # where the scale of the drawing shrinks: not at each pause of the motion
+_MOST_ROWS = 700  # rows of a line: more than a chart has pixels are not sent
 
 
 class Detail:
     """Builds the cards of an actuator into the current NiceGUI context and keeps them up to date.
 
-    Parameters
-    ----------
-    shown : the actuator.
-    span : which time the charts show.
-    on_zoom : called when a stretch of time has been dragged on a chart.
+    ``span`` : which time the charts show; ``on_zoom`` is called when one has been dragged there.
     """
 
     def __init__(self, shown: Actuator, span: Span, on_zoom: Callable[[], None]):
@@ -161,11 +154,8 @@ class Detail:
     def reset_zoom(self) -> None:
         """Let each chart show the whole of its axis: the axis itself is what was chosen."""
         whole = {"type": "dataZoom", "start": 0, "end": 100}
-        for chart in self._timed_charts():
+        for chart in (*(each["chart"] for each in self._figures.values()), self._residual_chart):
             chart.run_chart_method("dispatchAction", whole)
-
-    def _timed_charts(self) -> list[ui.echart]:
-        return [*(figure["chart"] for figure in self._figures.values()), self._residual_chart]
 
     def _save_picture(self, chart: ui.echart, name: str) -> None:
         now = time.strftime("%Y-%m-%d %H:%M:%S %Z")
@@ -262,7 +252,7 @@ class Detail:
         """Bring numbers, words and the piston up to date."""
         for alarm in alarms(view):
             self._refresh_alarm(view, alarm.name, alarm.word, alarm.message)
-        for stage, watched in zip(STAGES, WATCHED, strict=True):
+        for stage, watched in STAGES.items():
             self._refresh_estimate(view, watched, stage)
         found = view.findings.get(MISMATCH)
         self._refresh_alarm(view, MISMATCH, found.word if found else "STALE",

@@ -12,40 +12,30 @@ from collections import deque
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
-from itertools import islice
 from pathlib import Path
 
 from eha_monitor.errors import InputError
-from eha_monitor.health.alarms import ALARM_NAMES, NOT_JUDGED, SEVERITY
-from eha_monitor.health.judge import DIAGNOSIS, Finding
+from eha_monitor.health.alarms import ALARM_NAMES, NOT_JUDGED
+from eha_monitor.health.judge import DIAGNOSIS, MISMATCH, SEVERITY, Finding
 from eha_monitor.output import write_bytes
 
-MISMATCH = "model_mismatch"
 QUALITY = "data quality"
-# What a person can acknowledge.
-ACKNOWLEDGED = (*ALARM_NAMES, MISMATCH)
-# So many events are kept; the oldest go first.
-MOST = 5000
+ACKNOWLEDGED = (*ALARM_NAMES, MISMATCH)  # what a person can acknowledge
+MOST = 5000  # so many events are kept; the oldest go first
 # In these an alarm is worth an entry of its own; that data began or stopped is one of `data`.
 _LOGGED = ("WARN", "ERROR", NOT_JUDGED)
 
 
 @dataclass(frozen=True)
 class Change:
-    """Something that changed from one health message to the next.
+    """Something that changed from one health message to the next."""
 
-    Attributes
-    ----------
-    kind : ``alarm``, ``acknowledged``, ``model``, ``diagnosis`` (begun, ended, adopted or taken
-        back), ``reset``, ``bag``, ``monitor``, ``data`` (they stop, come, or are refused) or
-        ``data quality`` (a warning about the samples, and its end).
-    level : the word of the level that it has now, "" where it has none.
-    text : a sentence.
-    """
-
+    # ``alarm``, ``acknowledged``, ``model``, ``diagnosis`` (begun, ended, adopted or taken back),
+    # ``reset``, ``bag``, ``monitor``, ``data`` (they stop, come, or are refused) or ``data
+    # quality`` (a warning about the samples, and its end)
     kind: str
-    level: str
-    text: str
+    level: str  # the word of the level that it has now, "" where it has none
+    text: str  # a sentence
 
 
 @dataclass(frozen=True)
@@ -57,15 +47,10 @@ class Event(Change):
 
 
 class EventLog:
-    """The events of all actuators, in the order in which they came; a bounded number is kept.
-
-    Attributes
-    ----------
-    count : of all events that ever came.
-    """
+    """The events of all actuators, in the order in which they came; a bounded number is kept."""
 
     def __init__(self):
-        self.count = 0
+        self.count = 0  # of all events that ever came
         self._events: deque[Event] = deque(maxlen=MOST)
         self._lock = threading.Lock()
 
@@ -75,11 +60,10 @@ class EventLog:
             self.count += 1
             self._events.append(Event(change.kind, change.level, change.text, time_s, actuator))
 
-    def latest(self, most: int = MOST, without: str = "") -> list[Event]:
-        """Return the last events, the newest first, without those of one kind."""
+    def latest(self, without: str = "") -> list[Event]:
+        """Return the events that are kept, the newest first, without those of one kind."""
         with self._lock:
-            return list(islice((event for event in reversed(self._events)
-                                if event.kind != without), most))
+            return [event for event in reversed(self._events) if event.kind != without]
 
     def csv(self) -> str:
         """Return all events as CSV, the oldest first; times in UTC."""
@@ -181,10 +165,7 @@ def since(finding: Finding) -> str:
 def acknowledgements(path: Path) -> dict[str, Acknowledgement]:
     """Return by the name of the alarm what a file has; nothing where there is none.
 
-    Raises
-    ------
-    InputError
-        If it cannot be read, or is no such file.
+    Raises InputError if it cannot be read, or is no such file.
     """
     try:
         tree = json.loads(path.read_text(encoding="utf-8"))
@@ -201,17 +182,10 @@ def acknowledgements(path: Path) -> dict[str, Acknowledgement]:
 
 
 def write_acknowledgements(path: Path, given: dict[str, Acknowledgement]) -> None:
-    """Write them; see :func:`acknowledgements`.
-
-    Raises
-    ------
-    InputError
-        If the place cannot be written.
-    """
+    """Write what :func:`acknowledgements` reads; raises InputError if that cannot be written."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
     except OSError as problem:
-        raise InputError(f"{path.parent}: cannot make the folder: {problem.strerror}"
-                         ) from problem
+        raise InputError(f"{path.parent}: cannot make the folder: {problem.strerror}") from problem
     write_bytes(path, json.dumps({name: asdict(one) for name, one in given.items()},
                                  indent=1).encode())

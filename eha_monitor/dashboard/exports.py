@@ -3,9 +3,9 @@
 import math
 import time
 from collections.abc import Iterator, Mapping
-from typing import TYPE_CHECKING
+from types import SimpleNamespace
 
-from eha_monitor.dashboard.events import ACKNOWLEDGED, MISMATCH, csv_text, utc
+from eha_monitor.dashboard.events import ACKNOWLEDGED, csv_text, utc
 from eha_monitor.dashboard.state import (
     ESTIMATES_EVERY,
     HEALTH_STALE_AFTER,
@@ -17,9 +17,7 @@ from eha_monitor.dashboard.state import (
 )
 from eha_monitor.estimation.results import units_of
 from eha_monitor.health.alarms import NOT_JUDGED, WATCHED
-
-if TYPE_CHECKING:
-    from prometheus_client.core import GaugeMetricFamily
+from eha_monitor.health.judge import MISMATCH
 
 # As in diagnostic_msgs/DiagnosticStatus; what is not judged is no level of its own there.
 LEVELS = {"OK": 0, "WARN": 1, "ERROR": 2, "STALE": 3, NOT_JUDGED: 3}
@@ -68,40 +66,21 @@ def estimates_csv(state: State, now: float, since: float = -math.inf,
 def metrics(states: Mapping[str, State]) -> bytes:
     """Return all metrics in Prometheus' text form; ``states`` by the label ``actuator``.
 
-    Raises
-    ------
-    ImportError
-        If prometheus_client is not installed.
+    Raises ImportError if prometheus_client is not installed.
     """
-    from prometheus_client import CollectorRegistry, generate_latest
+    from prometheus_client import generate_latest
+    from prometheus_client.core import GaugeMetricFamily
 
-    registry = CollectorRegistry()
-    registry.register(_Collector(states))
-    return generate_latest(registry)
-
-
-class _Collector:
-    """Makes the metrics when they are requested, so that none is older than the request."""
-
-    def __init__(self, states: Mapping[str, State]):
-        self._states = states
-
-    def describe(self) -> list:
-        return []  # else the registry would collect once more to learn the names
-
-    def collect(self) -> Iterator["GaugeMetricFamily"]:
-        from prometheus_client.core import GaugeMetricFamily
-
-        now = time.monotonic()
-        families: dict[str, GaugeMetricFamily] = {}
-        for actuator, state in self._states.items():
-            view = state.view(now)
-            for name, help_, labels, value in (*_estimates(state, view), *_health(state, view)):
-                if name not in families:
-                    families[name] = GaugeMetricFamily(
-                        f"eha_monitor_{name}", help_, labels=["actuator", *labels])
-                families[name].add_metric([actuator, *labels.values()], value)
-        yield from families.values()
+    now = time.monotonic()
+    families: dict[str, GaugeMetricFamily] = {}
+    for actuator, state in states.items():
+        view = state.view(now)
+        for name, help_, labels, value in (*_estimates(state, view), *_health(state, view)):
+            if name not in families:
+                families[name] = GaugeMetricFamily(
+                    f"eha_monitor_{name}", help_, labels=["actuator", *labels])
+            families[name].add_metric([actuator, *labels.values()], value)
+    return generate_latest(SimpleNamespace(collect=families.values))  # all it asks a registry for
 
 
 Sample = tuple[str, str, dict[str, str], float]
@@ -111,7 +90,7 @@ def _estimates(state: State, view: View) -> Iterator[Sample]:
     """Give value, deviation and status; a value that is no longer fed is left out."""
     monitor = state.settings.monitor
     limit = monitor.stale_after + 1.0 / monitor.publish_rate
-    for stage, watched in zip(STAGES, WATCHED, strict=True):
+    for stage, watched in STAGES.items():
         symbol, section = watched.symbol, watched.section
         unit = UNITS[symbol, state.settings.rig.motion]
         if view.silence[symbol] <= limit:

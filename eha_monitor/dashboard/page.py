@@ -11,22 +11,16 @@ from eha_monitor.dashboard.detail import Detail, Level, button, heading, tagged,
 from eha_monitor.dashboard.events import QUALITY, EventLog
 from eha_monitor.dashboard.state import CHOICES, Actuator, Span, View
 from eha_monitor.health.alarms import WATCHED
+from eha_monitor.health.judge import SEVERITY
 
 STYLE, SCRIPT = (Path(__file__).with_name(f"page.{kind}") for kind in ("css", "js"))
 # How often numbers and words are looked up, and how often the charts are drawn, s.
 REFRESH_PERIOD, POSITION_PERIOD, CHART_PERIOD = 0.2, 0.5, 1.0
-# Events on the page; all that are kept are in the file.
-_EVENTS = 12
+_EVENTS = 12  # events on the page; all that are kept are in the file
 
 
 class Page:
-    """Builds the elements into the current NiceGUI context and keeps them up to date.
-
-    Parameters
-    ----------
-    shown : the actuators by name.
-    log : the events of all of them.
-    """
+    """Builds the elements into the current NiceGUI context and keeps them up to date."""
 
     def __init__(self, shown: dict[str, Actuator], log: EventLog):
         self.shown, self.log, self.span = shown, log, Span()
@@ -176,7 +170,7 @@ class Page:
     def _refresh_title(self, views: dict[str, View]) -> None:
         """Say in the browser's tab what is worst and whether it asks for somebody."""
         asks = sum(len(words.waiting(view)) for view in views.values())
-        worst = max((words.overall(view)[0] for view in views.values()), key=words.rank)
+        worst = max((words.overall(view)[0] for view in views.values()), key=SEVERITY.index)
         title = (f"({asks}) " if asks else "") + f"{words.level_text(worst)}: " + (
             self.chosen if len(views) == 1 else f"{len(views)} actuators")
         if title != self._title:

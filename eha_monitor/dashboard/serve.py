@@ -48,10 +48,7 @@ autocomplete="off" required></label> <button>Open</button></form></body></html>"
 def token_for(loopback: bool, given: str | None) -> tuple[str | None, bool]:
     """Return the token that is required, None for none, and whether it was made here.
 
-    Raises
-    ------
-    InputError
-        If the given one is too short, or cannot stand in an address.
+    Raises InputError if the given one is too short, or cannot stand in an address.
     """
     if given is None:
         return (None, False) if loopback else (secrets.token_urlsafe(24), True)
@@ -82,7 +79,6 @@ class Guard:
 
     Parameters
     ----------
-    app : what is guarded.
     names : host names that it answers to.
     any_address : whether it answers to every numerical address as well; those cannot be rebound.
     token : required of everyone; None lets everyone in.
@@ -186,24 +182,14 @@ _NO_ADDRESS = (errno.EADDRNOTAVAIL, errno.ENODEV)
 
 @dataclass(frozen=True)
 class Door:
-    """Where the page is served and who may come in.
+    """Where the page is served and who may come in."""
 
-    Attributes
-    ----------
-    listener : listening socket.
-    host : as it was requested.
-    loopback : whether nobody but this machine reaches it.
-    token : required of everyone, or None.
-    made : whether the token was made here, so that it must be printed.
-    names : further names to answer to, as those of a reverse proxy.
-    """
-
-    listener: socket.socket
-    host: str
-    loopback: bool
-    token: str | None
-    made: bool
-    names: tuple[str, ...] = ()
+    listener: socket.socket  # listening socket
+    host: str  # as it was requested
+    loopback: bool  # whether nobody but this machine reaches it
+    token: str | None  # required of everyone, or None
+    made: bool  # whether the token was made here, so that it must be printed
+    names: tuple[str, ...] = ()  # further names to answer to, as those of a reverse proxy
 
     @property
     def port(self) -> int:
@@ -226,14 +212,9 @@ def claim(port: int, host: str = HOST, token: str | None = None,
           names: tuple[str, ...] = ()) -> Door:
     """Return a listening socket and who may come in; port 0 takes any that is free.
 
-    On another address than loopback, or under other names, a token is required; one is made
-    where none is given.
-
-    Raises
-    ------
-    InputError
-        If the port is taken or not allowed to this user, the address is none of this machine,
-        or the token is too short.
+    On another address than loopback, or under other names, a token is required; one is made where
+    none is given.  Raises InputError if the port is taken or not allowed to this user, the address
+    is none of this machine, or the token is too short.
     """
     try:
         family, _, _, _, place = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM,

@@ -21,8 +21,8 @@ from eha_monitor.dashboard.events import (
     write_acknowledgements,
 )
 from eha_monitor.errors import InputError
-from eha_monitor.health.alarms import ALARM_NAMES, SEVERITY, WATCHED
-from eha_monitor.health.judge import Finding
+from eha_monitor.health.alarms import ALARM_NAMES, WATCHED
+from eha_monitor.health.judge import SEVERITY, Finding
 from eha_monitor.settings import Settings
 
 Row = tuple[float, ...]
@@ -112,21 +112,15 @@ def _with_gaps(rows: list[Row], gap: float) -> list[Row]:
 # Choices by their name; None is all that is kept.
 CHOICES: dict[str, float | None] = {"1 min": 60.0, "5 min": 300.0, "30 min": 1800.0, "all": None}
 FIRST = "5 min"
-# A shorter stretch than this is a click and no choice, s.
-SHORTEST = 1.0
+SHORTEST = 1.0  # a shorter stretch than this is a click and no choice, s
 
 
 class Span:
-    """The choice of one page.
-
-    Attributes
-    ----------
-    choice : one of ``CHOICES``; it counts while nothing is zoomed.
-    zoom : the stretch that was dragged, time of day, s; None while the charts follow the data.
-    """
+    """The choice of one page."""
 
     def __init__(self):
-        self.choice = FIRST
+        self.choice = FIRST  # one of ``CHOICES``; it counts while nothing is zoomed
+        # the stretch that was dragged, time of day, s; None while the charts follow the data
         self.zoom: tuple[float, float] | None = None
 
     def choose(self, choice: str) -> None:
@@ -162,17 +156,14 @@ ESTIMATES_SPAN, ESTIMATES_EVERY = 1800.0, 0.5
 # Before that, the extremes of each minute.
 LONG_SPAN, STRETCH = 86_400.0, 60.0
 POSITION_SPAN, POSITION_EVERY = 15.0, 0.04
-# Measured positions among which the one of an estimate's stamp is looked for.
-RECENT = 1000
-# So long a pair of the same stamp is shown when the next ones lack a partner, s.
-PAIR_HOLDS = 0.5
+RECENT = 1000  # measured positions among which the one of an estimate's stamp is looked for
+PAIR_HOLDS = 0.5  # so long a pair of the same stamp is shown when the next ones lack a partner, s
 # Health comes once a second; after this without it, what it said counts no more, s.
 HEALTH_STALE_AFTER = 3.0
-STAGES = ("stage_one", "stage_two")
+STAGES = {"stage_one": WATCHED[0], "stage_two": WATCHED[1]}
 # A clock that was set goes at least so far at once; less is what it is steered by, s.
 CLOCK_SET = 0.5
-# A reset that is reported twice within this time is one, s.
-SAME_RESET = 2.5
+SAME_RESET = 2.5  # a reset that is reported twice within this time is one, s
 # Keys of the innovations in the statuses of the stages.
 NIS, VARIANCE_RATIO, SAMPLES = ("innovation_nis", "innovation_variance_ratio",
                                 "innovation_samples")
@@ -188,32 +179,25 @@ class _Number:
 
 @dataclass(frozen=True)
 class View:
-    """The present state, as one consistent copy.
+    """The present state, as one consistent copy."""
 
-    Attributes
-    ----------
-    value, stddev : estimates by symbol, SI; NaN where none has come.
-    measured, estimated : position, m (rad where the motion is rotary); NaN where none has come.
-    same_stamp : whether these two are of the same time, so that their difference means something.
-    findings : the health, by name; what is no longer heard is STALE.
-    hardware : the rig's name as the monitor gives it, or that of the config.
-    silence : s since the last value of each symbol, of any (``estimates``), of each position
-        and of the health; infinite where none has come.
-    acknowledged : by the name of the alarm, what of it has been acknowledged.
-    stamp : of the last measured position, s; NaN where none has come.
-    diagnosis : the monitor's own diagnosis, by name; empty where none has come.
-    """
-
+    # value, stddev: estimates by symbol, SI; NaN where none has come
     value: dict[str, float]
     stddev: dict[str, float]
+    # measured, estimated: position, m (rad where the motion is rotary); NaN where none has come
     measured: float
     estimated: float
+    # whether these two are of the same time, so that their difference means something
     same_stamp: bool
-    findings: dict[str, Finding]
-    hardware: str
+    findings: dict[str, Finding]  # the health, by name; what is no longer heard is STALE
+    hardware: str  # the rig's name as the monitor gives it, or that of the config
+    # s since the last value of each symbol, of any (``estimates``), of each position and of the
+    # health; infinite where none has come
     silence: dict[str, float] = field(default_factory=dict)
+    # by the name of the alarm, what of it has been acknowledged
     acknowledged: dict[str, Acknowledgement] = field(default_factory=dict)
-    stamp: float = math.nan
+    stamp: float = math.nan  # of the last measured position, s; NaN where none has come
+    # the monitor's own diagnosis, by name; empty where none has come
     diagnosis: dict[str, Finding] = field(default_factory=dict)
 
 
@@ -409,8 +393,7 @@ class State:
     def view(self, now: float) -> View:
         """Return the present state; ``now`` in s, monotonic."""
         with self._lock:
-            silence = {name: now - n.came
-                       for name, n in (self._values | self._positions).items()}
+            silence = {name: now - n.came for name, n in (self._values | self._positions).items()}
             silence["estimates"] = min(silence[symbol] for symbol in self._values)
             silence["health"] = now - self._health_came
             findings = self._findings
@@ -433,10 +416,7 @@ class State:
         Symbols: (time of day s, value, stddev, 1 where it is in doubt, else 0); stages: (time of
         day s, normalised innovation squared, variance ratio).
 
-        Parameters
-        ----------
-        now : s, monotonic.
-        since : time of day of the oldest row, s.
+        ``now`` in s, monotonic; ``since`` : time of day of the oldest row, s.
         """
         shift = self.time_of_day(0.0, now)
         with self._lock:
@@ -472,21 +452,13 @@ class State:
 
 @dataclass(frozen=True)
 class Actuator:
-    """One of the actuators on the page.
+    """One of the actuators on the page."""
 
-    Attributes
-    ----------
-    name : by which it is chosen; the name of its rig where it is the only one.
-    namespace : of its topics.
-    domain : ROS domain id that is listened to.
-    state : what was heard of it.
-    topics : full names of the topics, by those keys of ``View.silence`` that are looked at.
-    """
-
-    name: str
-    namespace: str
-    domain: int
-    state: State
+    name: str  # by which it is chosen; the name of its rig where it is the only one
+    namespace: str  # of its topics
+    domain: int  # ROS domain id that is listened to
+    state: State  # what was heard of it
+    # full names of the topics, by those keys of ``View.silence`` that are looked at
     topics: dict[str, str]
 
 
@@ -495,8 +467,7 @@ def in_doubt(findings: Mapping[str, Finding], symbol: str) -> bool:
 
     Its stage's is in doubt, and no least squares stand in its place.
     """
-    stage, watched = next((stage, watched) for stage, watched in zip(STAGES, WATCHED, strict=True)
-                          if watched.symbol == symbol)
+    stage, watched = next(pair for pair in STAGES.items() if pair[1].symbol == symbol)
     own = findings.get(stage)
     return own is not None and bool(int(own.values.get("in_doubt") or 0)) and not any(
         int(one.values.get("by_least_squares") or 0) for name, one in findings.items()

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from datetime import datetime
 
 from eha_monitor.dashboard import state
-from eha_monitor.dashboard.events import ACKNOWLEDGED
+from eha_monitor.dashboard.events import ACKNOWLEDGED, MISMATCH
 from eha_monitor.estimation.results import units_of
-from eha_monitor.health.alarms import NO_LIMIT, NOT_JUDGED, SEVERITY, WATCHED
-from eha_monitor.health.judge import DIAGNOSIS, MACHINE, MODEL_IN_FORCE, Finding
+from eha_monitor.health.alarms import NO_LIMIT, NOT_JUDGED, WATCHED
+from eha_monitor.health.judge import DIAGNOSIS, MACHINE, MODEL_IN_FORCE, SEVERITY, Finding
 from eha_monitor.quantity import SYMBOLS, Scale, number, readable, with_uncertainty
 from eha_monitor.settings import Settings
 from eha_monitor.words import probability
@@ -22,8 +22,7 @@ _DATA = {"rows": "{} rows so far", "lost_messages": "{} messages lost",
          "missing_samples": "{} samples missing",
          "latency_p50_ms": "half of the rows done within {} ms",
          "cpu_share_percent": "{} % of a processor"}
-# A thousandth of the units in which positions are shown.
-_FINE = {"mm": "µm", "mrad": "µrad"}
+_FINE = {"mm": "µm", "mrad": "µrad"}  # a thousandth of the units in which positions are shown
 # Data count as live up to this age, and stamps as of another time beyond this distance, s.
 LIVE_WITHIN, STAMPS_DIFFER = 2.0, 5.0
 _STATUS_WORDS = {"not_excited": "not excited", "no_data": "no data"}
@@ -86,7 +85,7 @@ def overall(view: state.View) -> tuple[str, str]:
     data = view.findings.get("data")
     if not view.findings or (data is not None and data.level == "STALE"):
         return "STALE", level_text("STALE")
-    mismatch = [view.findings["model_mismatch"]] if "model_mismatch" in view.findings else []
+    mismatch = [view.findings[MISMATCH]] if MISMATCH in view.findings else []
     # Without a limit there is no level, and no OK.
     listed = [finding for finding in state.alarms(view) if finding.message != NO_LIMIT]
     judged = [finding for finding in listed if finding.word not in ("STALE", NOT_JUDGED)]
@@ -97,11 +96,6 @@ def overall(view: state.View) -> tuple[str, str]:
     level = worst([*judged, *held, *(one for one in mismatch if one.level != "STALE")])
     left = len(listed) - len(judged)
     return level, level_text(level) + (f", {left} of {len(listed)} not judged" if left else "")
-
-
-def rank(level: str) -> int:
-    """Return how much a level counts; without data counts more than fine, less than a warning."""
-    return SEVERITY.index(level)
 
 
 def short(symbol: str, number: Shown) -> str:
@@ -136,12 +130,7 @@ def clock_text(time_s: float) -> str:
 
 
 def last_data(view: state.View, now: float) -> tuple[bool, str]:
-    """Return whether data come, and when the last ones came.
-
-    Parameters
-    ----------
-    now : time of day, s since the epoch.
-    """
+    """Return whether data come, and when the last did; ``now`` : s since the epoch."""
     age = min(view.silence["measured"], view.silence["estimates"])
     if math.isinf(age):
         return False, "no data yet"
@@ -207,12 +196,7 @@ def local_times(finding: Finding) -> str:
 
 
 def estimate_status(view: state.View, section: str, stage: str) -> tuple[str, bool]:
-    """Return the status of a parameter in words, and whether its value must not be used.
-
-    Parameters
-    ----------
-    section : of its alarms; ``stage`` that estimates it, by name.
-    """
+    """Return the status of a parameter in words, and whether its value must not be used."""
     finding = view.findings.get(stage)
     status = str(finding.values.get("status", "")) if finding else ""
     if finding is None or not status:
@@ -255,9 +239,7 @@ def _written(value: float | int | str, digits: int) -> str:
 def silence_text(view: state.View, settings: Settings, topics: dict[str, str]) -> str:
     """Return what has stopped, since when and what may be the reason; empty if all comes.
 
-    Parameters
-    ----------
-    topics : full names of the topics, by those keys of ``view.silence`` that are looked at.
+    ``topics`` : full names of the topics, by those keys of ``view.silence`` that are looked at.
     """
     limits = dict.fromkeys(topics, settings.monitor.stale_after)
     # The monitor's rate may be slow by choice; one period late is not silent.

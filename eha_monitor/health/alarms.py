@@ -28,12 +28,10 @@ from eha_monitor.health.judge import (
     NO_LIMIT,
     NOT_JUDGED,
     RAISED,
-    SEVERITY,
     UNKNOWN,
     Alarm,
     Doubt,
     Judge,
-    Level,
     Rebase,
     Watched,
 )
@@ -42,17 +40,6 @@ from eha_monitor.quantity import quantity, share, with_uncertainty
 from eha_monitor.recordings.columns import blocks, chosen
 from eha_monitor.settings.monitor import Settings
 
-__all__ = [
-    "ALARM_NAMES",
-    "NOT_JUDGED",
-    "NO_LIMIT",
-    "SEVERITY",
-    "WATCHED",
-    "Alarm",
-    "AlarmBoard",
-    "Level",
-    "Watched",
-]
 ADVICE = "run `eha-monitor diagnose` on a recording to identify the cause"
 
 BALANCES = {"B": "force", "beta_e": "flow"}  # of the least squares that determine each
@@ -80,18 +67,10 @@ class _Read:
 
 
 class AlarmBoard:
-    """The four alarms, judged as the estimates come.
-
-    Parameters
-    ----------
-    settings : thresholds, viscosity and ``monitor.stale_after`` are read.
-
-    Attributes
-    ----------
-    history : every change of a level so far, the first one of each alarm included.
-    """
+    """The four alarms, judged as the estimates come."""
 
     def __init__(self, settings: Settings):
+        # every change of a level so far, the first one of each alarm included
         self.history: list[Alarm] = []
         self._units = units_of(settings.rig.motion)
         watched = [replace(w, unit=self._units[w.symbol]) for w in WATCHED]
@@ -135,7 +114,8 @@ class AlarmBoard:
         """
         # Nothing is known about a limit while no data came: the hold time starts anew.
         if self._last is not None and not 0 <= time_s - self._last <= self._longest_step:
-            self._forget()
+            for judge in self._judges:
+                judge.forget()
         self._last = time_s
         changed, now = [], {}
         for symbol in self._rebase:
@@ -157,10 +137,6 @@ class AlarmBoard:
                 changed.append(self._alarm(judge))
         self.history += changed
         return changed
-
-    def _forget(self) -> None:
-        for judge in self._judges:
-            judge.forget()
 
     def _take_stale(self, judge: Judge, time_s: float, reason: str) -> bool:
         if judge.off:
@@ -297,20 +273,22 @@ STEPS = 100_000  # from which the rate is taken
 
 @dataclass(frozen=True)
 class ParameterSeries:
-    """One parameter as it converged over a recording.
+    """One parameter as it converged over a recording."""
 
-    Attributes
-    ----------
-    final : the estimate at the end, with its status and its reason.
-    value, stddev : (n,) SI.
-    converged : (n,) bool, where the motion had excited the value: nothing else is judged; or
-        what decides that from values and standard deviations.
-    """
-
-    final: ParameterEstimate
+    final: ParameterEstimate  # the estimate at the end, with its status and its reason
+    # value, stddev: (n,) SI
     value: np.ndarray
     stddev: np.ndarray
+    # (n,) bool, where the motion had excited the value: nothing else is judged; or what decides
+    # that from values and standard deviations
     converged: np.ndarray | Callable[[np.ndarray, np.ndarray], np.ndarray]
+
+    def at(self, index: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return of rows ``index`` (k,) whether they are judged, the values and deviations."""
+        value, stddev = chosen(self.value, index), chosen(self.stddev, index)
+        known = (self.converged(value, stddev) if callable(self.converged)
+                 else chosen(self.converged, index))
+        return np.isfinite(value) & np.isfinite(stddev) & known, value, stddev
 
 
 def judge_series(settings: Settings, time: np.ndarray, parameters: dict[str, ParameterSeries],
@@ -324,7 +302,6 @@ def judge_series(settings: Settings, time: np.ndarray, parameters: dict[str, Par
 
     Parameters
     ----------
-    settings : thresholds, viscosity, ``monitor.stale_after``.
     time : (n,) s, rising.
     parameters : ``B`` and ``beta_e`` as they converged.
     temperature : (n,) °C with NaN where not measured (the last one counts), or None.
@@ -390,12 +367,8 @@ def _trials(trials: dict[str, Trial], time_s: float, row: dict[str, ParameterEst
 
 def _columns(series: ParameterSeries, index: np.ndarray) -> tuple[list, list, list]:
     if series.final.status == "no_data" or len(series.value) == 0:
-        empty = [False] * len(index), [float("nan")] * len(index), [float("nan")] * len(index)
-        return empty
-    value, stddev = chosen(series.value, index), chosen(series.stddev, index)
-    known = (series.converged(value, stddev) if callable(series.converged)
-             else chosen(series.converged, index))
-    judged = np.isfinite(value) & np.isfinite(stddev) & known
+        return [False] * len(index), [math.nan] * len(index), [math.nan] * len(index)
+    judged, value, stddev = series.at(index)
     return judged.tolist(), value.tolist(), stddev.tolist()
 
 

@@ -18,6 +18,7 @@ Level = Literal["OK", "WARN", "ERROR", "STALE"]
 # Lines of ``monitor/diagnosis`` that are always there.
 DIAGNOSIS, MODEL_IN_FORCE = "diagnosis", "model_in_force"
 MACHINE = "machine"  # and this one beside a machine file
+MISMATCH = "model_mismatch"  # the test of the model, a line of ``monitor/health``
 RAISED: tuple[Level, ...] = ("OK", "WARN", "ERROR")
 NOT_JUDGED = "not judged"
 NO_LIMIT = "no limit set"  # what an alarm says that nobody asked for
@@ -26,8 +27,7 @@ SEVERITY: tuple[str, ...] = ("OK", "STALE", NOT_JUDGED, "WARN", "ERROR")
 
 SETTLE_S = 10.0  # a value has settled when it has stayed within ...
 WITHIN = 0.05  # ... so much of itself for so long
-# Sums of sample times miss the hold time by rounding.
-_TIME_TOLERANCE = 1e-6
+_TIME_TOLERANCE = 1e-6  # sums of sample times miss the hold time by rounding
 
 
 class Reported:
@@ -73,19 +73,12 @@ class Alarm(Reported):
 
 @dataclass(frozen=True)
 class Finding(Reported):
-    """One line of the diagnostics.
+    """One line of the diagnostics."""
 
-    Attributes
-    ----------
-    name : stable, without the hardware's name.
-    level : ``OK``, ``WARN``, ``ERROR`` or ``STALE``.
-    message : a sentence.
-    values : key -> number or text; numbers are written so that plotting tools read them.
-    """
-
-    name: str
-    level: str
-    message: str
+    name: str  # stable, without the hardware's name
+    level: str  # ``OK``, ``WARN``, ``ERROR`` or ``STALE``
+    message: str  # a sentence
+    # key -> number or text; numbers are written so that plotting tools read them
     values: dict[str, float | int | str] = field(default_factory=dict)
 
     @property
@@ -121,29 +114,24 @@ class Doubt:
 
 @dataclass
 class Judge:
-    """One alarm: limits of one side of one parameter, and what is raised.
-
-    Attributes
-    ----------
-    raised, raised_s : 0, 1 or 2: OK, WARN or ERROR; and when it rose last, s.
-    since : of each limit, since when the value has passed it for certain, s.
-    look : of each limit, the look at which it had first, where looks give the value.
-    within : of each limit, since when the value has been back inside it for certain, s.
-    beyond : since when the value as it stands has passed the first limit, s.
-    level, time_s, situation : of the alarm, and since when.
-    """
+    """One alarm: limits of one side of one parameter, and what is raised."""
 
     watched: Watched
     sign: float  # +1 above the limit is bad, -1 below
     limits: tuple[float | None, float | None] = (None, None)  # WARN, ERROR
     hysteresis: float = 0.0
     hold_time: float = 0.0
+    # raised, raised_s: 0, 1 or 2: OK, WARN or ERROR; and when it rose last, s
     raised: int = 0
     raised_s: float = -math.inf
+    # of each limit, since when the value has passed it for certain, s
     since: list[float | None] = field(default_factory=lambda: [None, None])
+    # of each limit, the look at which it had first, where looks give the value
     look: list[object] = field(default_factory=lambda: [None, None])
+    # of each limit, since when the value has been back inside it for certain, s
     within: list[float | None] = field(default_factory=lambda: [None, None])
-    beyond: float | None = None
+    beyond: float | None = None  # since when the value as it stands has passed the first limit, s
+    # level, time_s, situation: of the alarm, and since when
     level: Level | None = None
     not_judged: bool = False
     time_s: float = 0.0

@@ -39,25 +39,15 @@ class Overload:
 
 
 class LoadWatch:
-    """Judges how the monitor keeps up.
-
-    Parameters
-    ----------
-    stale_after : older data count as stale, s.
-
-    Attributes
-    ----------
-    behind : age of the oldest message that waits, s.
-    share : of the samples of the last seconds, how many are missing.
-    """
+    """Judges how the monitor keeps up; data older than ``stale_after`` s count as stale."""
 
     def __init__(self, stale_after: float):
         self._stale_after = stale_after
         self._looks: deque[tuple[float, int, int]] = deque()
         self._held_up = -float("inf")  # when last it was known to be behind or not to have run
         self._before = 0.0
-        self.behind = 0.0
-        self.share = 0.0
+        self.behind = 0.0  # age of the oldest message that waits, s
+        self.share = 0.0  # of the samples of the last seconds, how many are missing
 
     def look(self, now: float, rows: int, missing: int, behind: float, away: float) -> None:
         """Take the state some times a second.
@@ -107,18 +97,10 @@ class LatencyMeter:
     """How long after a row's stamp the first estimates that know of it were published.
 
     Where the stamps are on another clock than the wall's, it counts from the row's receipt.
-
-    Parameters
-    ----------
-    keep : latencies kept; 60 000 are one minute at 1 kHz.
-
-    Attributes
-    ----------
-    counts_from : ``stamp`` or ``receipt``.
     """
 
-    def __init__(self, keep: int = 60_000):
-        self._values = np.empty(keep)
+    def __init__(self):
+        self._values = np.empty(60_000)  # one minute at 1 kHz
         self._count = 0
         self._wall_clock: bool | None = None
         self._waiting: deque[tuple[np.ndarray, np.ndarray]] = deque(maxlen=WAITING)
@@ -147,7 +129,7 @@ class LatencyMeter:
 
     @property
     def counts_from(self) -> str:
-        """What the latencies count from."""
+        """What the latencies count from: ``stamp`` or ``receipt``."""
         return "stamp" if self._wall_clock else "receipt"
 
     def _add(self, seconds: np.ndarray) -> None:

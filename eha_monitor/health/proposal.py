@@ -13,15 +13,16 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import stdtr, stdtrit
 
-from eha_monitor.health.alarms import JUDGE_RATE, ParameterSeries, carried
+from eha_monitor.health.alarms import JUDGE_RATE, WATCHED, ParameterSeries, carried
 from eha_monitor.indicators.laws import viscosity_factor
 from eha_monitor.settings.monitor import LIMITS, Settings, Thresholds
 
 UNLIKE = 0.01  # chance, over all recordings, at which one counts as unlike the others
 ERROR_SHARE = 0.1  # of the WARN rate, the rate of an ERROR
 SIDES = {"B": ("low", "high"), "beta_e": ("low",)}
-SECTIONS = {"B": "viscous_damping", "beta_e": "bulk_modulus"}
+SECTIONS = {watched.symbol: watched.section for watched in WATCHED}
 NOMINAL = {"B": 600.0, "beta_e": 6e8}  # of the paper, which its limits are set around
 FARTHEST = math.log(1e3)  # a limit that lies farther off is none
 WIDE = 3.0  # times the mean: a limit farther off watches nothing and needs more recordings
@@ -29,18 +30,13 @@ WIDE = 3.0  # times the mean: a limit farther off watches nothing and needs more
 
 @dataclass(frozen=True)
 class Healthy:
-    """One parameter in one healthy recording, SI, B at the reference temperature.
+    """One parameter in one healthy recording, SI, B at the reference temperature."""
 
-    Attributes
-    ----------
-    source : the recording.
-    value, stddev : the estimate at its end.
-    low, high : lowest and highest limit that would have raised no alarm.
-    """
-
-    source: str
+    source: str  # the recording
+    # value, stddev: the estimate at its end
     value: float
     stddev: float
+    # low, high: lowest and highest limit that would have raised no alarm
     low: float
     high: float
 
@@ -66,25 +62,19 @@ class Limit:
 
 @dataclass(frozen=True)
 class Proposal:
-    """Limits of one parameter.
-
-    Attributes
-    ----------
-    mean : of the healthy recordings, geometric.
-    within, between : relative standard deviations within and between recordings; ``between`` is
-        NaN from one recording.
-    unlike : recordings that are unlike the others, with the chance of it.
-    more : how many recordings of this spread would bring each limit within ``WIDE``; 0 where all
-        are.
-    """
+    """Limits of one parameter."""
 
     symbol: str
     healthy: tuple[Healthy, ...]
-    mean: float
+    mean: float  # of the healthy recordings, geometric
+    # within, between: relative standard deviations within and between recordings; ``between`` is
+    # NaN from one recording
     within: float
     between: float
     limits: tuple[Limit, ...]
+    # recordings that are unlike the others, with the chance of it
     unlike: tuple[tuple[str, float], ...]
+    # how many recordings of this spread would bring each limit within ``WIDE``; 0 where all are
     more: int = 0
 
 
@@ -92,19 +82,13 @@ def healthy_of(source: str, symbol: str, time: np.ndarray, series: ParameterSeri
                settings: Settings, temperature: np.ndarray | None = None) -> Healthy | None:
     """Return a parameter of a recording with its extremes, or None where nothing was judged.
 
-    Parameters
-    ----------
-    time : (n,) s.
-    series : the parameter as it converged, as the alarms judge it.
-    temperature : (n,) °C, or None.
+    ``time`` (n,) in s; ``temperature`` (n,) in °C, or None.
     """
     if len(time) < 2 or len(series.value) == 0 or series.final.status != "converged":
         return None
     stride = max(1, round(1.0 / (JUDGE_RATE * float(np.median(np.diff(time))))))
     index = np.arange(len(time) - 1, -1, -stride)[::-1]
-    value, stddev = series.value[index], series.stddev[index]
-    known = (series.converged(value, stddev) if callable(series.converged)
-             else series.converged[index]) & np.isfinite(value) & np.isfinite(stddev)
+    known, value, stddev = series.at(index)
     factor = np.ones(len(index))
     if symbol == "B" and temperature is not None:
         factor = np.array([viscosity_factor(settings.viscosity, degrees)
@@ -175,8 +159,6 @@ def _extremes(side: str, healthy: list[Healthy]) -> tuple[float, float]:
 
 def implied(side: str, healthy: list[Healthy], limit: float) -> float:
     """Return the share of healthy recordings that would raise an alarm at a limit."""
-    from scipy.special import stdtr
-
     middle, spread = _extremes(side, healthy)
     away = (middle - math.log(limit)) * (1.0 if side == "low" else -1.0) / spread
     return float(stdtr(len(healthy) - 1, -away))
@@ -184,15 +166,11 @@ def implied(side: str, healthy: list[Healthy], limit: float) -> float:
 
 def _t(rate: float, n: int) -> float:
     """Return the distance in Student's distribution beyond which lies a share ``rate``."""
-    from scipy.special import stdtrit
-
     return -float(stdtrit(n - 1, rate))
 
 
 def _unlike(healthy: list[Healthy]) -> tuple[tuple[str, float], ...]:
     """Return the recordings that are no likely draw of what the others are drawn from."""
-    from scipy.special import stdtr
-
     logs, n = np.log([one.value for one in healthy]), len(healthy)
     if n < 3:
         return ()

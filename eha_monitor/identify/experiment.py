@@ -49,17 +49,7 @@ NOISE = 5.0  # standard deviations that noise may add
 
 
 def bounds_of(settings: Settings, source: str) -> Bounds:
-    """Return the limits of a config, complete and possible on its rig.
-
-    Parameters
-    ----------
-    source : what the config is called in errors.
-
-    Raises
-    ------
-    InputError
-        One line: the key and what was expected.
-    """
+    """Return the limits of a config; raise InputError unless complete and possible on its rig."""
     given, rig = settings.experiment, settings.rig
     for key in NEEDED:
         if getattr(given, key) is None:
@@ -88,11 +78,7 @@ class Watch:
     Speed and acceleration are those of a parabola fitted to ``WINDOW`` s of positions
     (Savitzky and Golay 1964); what their noise may add is not counted.
 
-    Parameters
-    ----------
-    bounds : complete limits.
-    dt : sample time, s.
-    noise : standard deviation of the position, m.
+    The bounds are complete; ``noise`` is the standard deviation of the position, m.
     """
 
     def __init__(self, bounds: Bounds, dt: float, noise: float):
@@ -125,25 +111,24 @@ class Watch:
     def _beyond(self, name: str, rows: np.ndarray) -> str:
         b = self._bounds
         if name != "x":
-            return lasting(rows, lambda v: v > b.pressure, f"{name} of", "Pa", b.pressure)
-        found = (lasting(rows, lambda v: v > b.upper, "position of", "m", b.upper)
-                 or lasting(-rows, lambda v: v > -b.lower, "position of", "m", -b.lower, -1.0))
+            return lasting(rows, b.pressure, f"{name} of", "Pa", b.pressure)
+        found = (lasting(rows, b.upper, "position of", "m", b.upper)
+                 or lasting(-rows, -b.lower, "position of", "m", -b.lower, -1.0))
         for what, unit, limit, kernel, extra in self._rates:
             if found or len(rows) < len(kernel):
                 break
             rates = np.abs(np.convolve(rows, kernel, "valid"))
-            found = lasting(rates, lambda v, most=limit + extra: v > most, f"{what} of", unit,
-                            limit)
+            found = lasting(rates, limit + extra, f"{what} of", unit, limit)
         return found
 
 
-def lasting(values: np.ndarray, beyond: Callable[[np.ndarray], np.ndarray], what: str, unit: str,
-            limit: float, sign: float = 1.0) -> str:
-    """Return in words by how much values are beyond a limit for ``STANDING`` samples, or ""."""
+def lasting(values: np.ndarray, most: float, what: str, unit: str, limit: float,
+            sign: float = 1.0) -> str:
+    """Return in words by how much values are beyond ``most`` for ``STANDING`` samples, or ""."""
     if len(values) < STANDING:
         return ""
     least = np.lib.stride_tricks.sliding_window_view(values, STANDING).min(axis=1)
-    if not beyond(least).any():
+    if not (least > most).any():
         return ""
     return (f"{what} {quantity(sign * float(least.max()), unit, 3)}, the limit is "
             f"{quantity(sign * limit, unit, 3)}")
@@ -156,19 +141,12 @@ START_NS = 1_000_000_000
 
 @dataclass(frozen=True)
 class Ran:
-    """A motion that was run.
+    """A motion that was run."""
 
-    Attributes
-    ----------
-    recording : what came.
-    aborted : why it ended early, or ""; ``asked`` : whether somebody asked for it.
-    bag : where it was recorded as it came, or None.
-    """
-
-    recording: Recording
-    aborted: str = ""
+    recording: Recording  # what came
+    aborted: str = ""  # why it ended early, or ""; ``asked``: whether somebody asked for it
     asked: bool = False
-    bag: Path | None = None
+    bag: Path | None = None  # where it was recorded as it came, or None
 
 
 class Rig(Protocol):
@@ -186,13 +164,7 @@ class Rig(Protocol):
 
 
 class SimulatedRig:
-    """The simulated actuator of a config, in place of a rig: it goes on from motion to motion.
-
-    Parameters
-    ----------
-    settings : of the simulated actuator, effects and sensor noise included.
-    bounds : complete limits.
-    """
+    """The simulated actuator of a config, in place of a rig: it goes on from motion to motion."""
 
     def __init__(self, settings: Settings, bounds: Bounds, seed: int | None = None,
                  source: str = "config"):
@@ -205,8 +177,7 @@ class SimulatedRig:
 
     def _demanded(self, time: np.ndarray) -> np.ndarray:
         """Return x_d at each time, m; behind its end the demand is held."""
-        return np.interp(time / self._dt - self._began, np.arange(len(self._demand)),
-                         self._demand)
+        return np.interp(time / self._dt - self._began, np.arange(len(self._demand)), self._demand)
 
     def position(self) -> float:
         """Return where the piston is held, m."""
@@ -244,10 +215,6 @@ def otherwise(contest: Contest, x_d: np.ndarray, bounds: Bounds) -> tuple[str, .
     """Return in words what else would tell structures apart, each tried with the same motion.
 
     Where none of it would, what the catalogue says to look at on the rig.
-
-    Parameters
-    ----------
-    x_d : (n,) m, the motion.
     """
     now = float(np.sum([one.probability**2 for one in contest.structures]))
     found = []
@@ -272,32 +239,26 @@ def changes(contest: Contest, bounds: Bounds
     experiment, structures = contest.experiment, contest.structures
     rig, noise = experiment.settings.rig, experiment.settings.simulation.noise
     force = float(f"{LOAD * rig.area_1 * (bounds.pressure - rig.charge_pressure):.1g}")
-    load, place = NAMES.index("constant_load"), place_of("constant_load.F_0")
 
-    def moved(change) -> list[Structure]:
+    def moved(place: int, factor: float = 1.0, more: float = 0.0, effect: int | None = None
+              ) -> list[Structure]:
+        """Return the structures with one parameter changed, and perhaps one effect active."""
         found = []
         for one in structures:
             theta, active = one.fit.theta.copy(), one.fit.active.copy()
-            change(theta, active)
+            theta[place] = factor * theta[place] + more
+            if effect is not None:
+                active[effect] = True
             found.append(replace(one, fit=replace(one.fit, theta=theta, active=active)))
         return found
-
-    def loaded(theta, active):
-        theta[place] += force
-        active[load] = True
-
-    def warmer(theta, active):
-        theta[s.B] *= WARMER
-
-    def charged(theta, active):
-        theta[s.P_CHARGE] *= CHARGED
 
     higher = rig.model_copy(update={"charge_pressure": CHARGED * rig.charge_pressure})
     yield (f"a charge pressure of {quantity(higher.charge_pressure, 'Pa', 2)}",
            replace(experiment, settings=experiment.settings.model_copy(update={"rig": higher})),
-           moved(charged))
-    yield f"a constant load of {quantity(force, 'N', 1)} on the rod", experiment, moved(loaded)
-    yield "oil that is some 12 °C warmer", experiment, moved(warmer)
+           moved(s.P_CHARGE, CHARGED))
+    yield f"a constant load of {quantity(force, 'N', 1)} on the rod", experiment, moved(
+        place_of("constant_load.F_0"), more=force, effect=NAMES.index("constant_load"))
+    yield "oil that is some 12 °C warmer", experiment, moved(s.B, WARMER)
     for name, (words, level) in SENSORS.items():
         column = OUTPUTS.index(name)
         if experiment.used[column]:
@@ -322,29 +283,23 @@ FEW = 0.05  # probability of all rivals together, below which what has no model 
 
 @dataclass(frozen=True)
 class Round:
-    """One motion, and what is known after it.
+    """One motion, and what is known after it."""
 
-    Attributes
-    ----------
-    planned, ran : the motion, and what came of it.
-    seconds : of motion so far, this one included.
-    diagnosis : of all recordings so far; None where the motion was aborted.
-    names, probability : the set that stands, and its probability; ``rivals`` the others from
-        1 % on, the most probable first.
-    following : the motion that is planned next, or None; ``end`` then says why.
-    would : what would tell the rest apart, in words, where no motion does.
-    """
-
+    # planned, ran: the motion, and what came of it
     planned: Planned
     ran: Ran
-    seconds: float
+    seconds: float  # of motion so far, this one included
+    # of all recordings so far; None where the motion was aborted
     diagnosis: Diagnosis | None = None
+    # names, probability: the set that stands, and its probability; ``rivals`` the others from 1 %
+    # on, the most probable first
     names: Names = frozenset()
     probability: float = np.nan
     rivals: dict[Names, float] = field(default_factory=dict)
+    # the motion that is planned next, or None; ``end`` then says why
     following: Planned | None = None
     end: str = ""
-    would: tuple[str, ...] = ()
+    would: tuple[str, ...] = ()  # what would tell the rest apart, in words, where no motion does
 
 
 def identify(rig: Rig, planner: Planner,
@@ -352,21 +307,14 @@ def identify(rig: Rig, planner: Planner,
              report: Report | None = None) -> Iterator[Round]:
     """Run motions until a set of effects has the probability asked for, or none can get it.
 
+    Yields a round after each motion; the last one has an ``end``.  Raises InputError if the
+    limits allow no motion, or what came cannot be diagnosed.
+
     Parameters
     ----------
     rig : what moves; ``planner`` knows config, limits and the probability asked for.
     check : of each recording before it is diagnosed; raises what is wrong with it.
     report : told what is done and how far it is, 0 to 1.
-
-    Yields
-    ------
-    Round
-        After each motion; the last one has an ``end``.
-
-    Raises
-    ------
-    InputError
-        If the limits allow no motion, or what came cannot be diagnosed.
     """
     say = report or silent
     say("planning the first motion", 0.0)
@@ -492,18 +440,16 @@ def round_words(one: Round, count: int, dt: float) -> str:
     if one.rivals:
         head += "; else " + ", ".join(f"{set_words(names)} {percent(value)}"
                                       for names, value in list(one.rivals.items())[:3])
-    if one.end == DECIDED:
-        return f"{head}. Decided"
-    if one.end == TIME:
-        return f"{head}. The time is up: no motion fits into what is left of it"
-    if one.end == BALANCES:
-        return (f"{head}. This is the answer of least squares on the balances: no set of effects "
-                "explains all that the filter sees, so that no motion can be planned to decide "
-                f"between them{''.join(f'; {line}' for line in one.would)}")
-    if one.end == INSEPARABLE:
-        more = f"; what would: {'; '.join(one.would)}" if one.would else ""
-        return f"{head}. No motion within the limits distinguishes what is left{more}"
-    return f"{head}. Next: {plan_words(one.following, dt)}"
+    if not one.end:
+        return f"{head}. Next: {plan_words(one.following, dt)}"
+    would = f"; what would: {'; '.join(one.would)}" if one.would else ""
+    return f"{head}. " + {
+        DECIDED: "Decided",
+        TIME: "The time is up: no motion fits into what is left of it",
+        BALANCES: "This is the answer of least squares on the balances: no set of effects "
+                  "explains all that the filter sees, so that no motion can be planned to decide "
+                  f"between them{''.join(f'; {line}' for line in one.would)}",
+        INSEPARABLE: f"No motion within the limits distinguishes what is left{would}"}[one.end]
 
 
 def planned_tree(planned: Planned, dt: float) -> dict:
@@ -517,8 +463,7 @@ def planned_tree(planned: Planned, dt: float) -> dict:
                           for key, value in planned.peaks.items()}}
 
 
-def tree(rounds: list[Round], bags: list[str], bounds: Bounds, wanted: float, dt: float
-         ) -> dict:
+def tree(rounds: list[Round], bags: list[str], bounds: Bounds, wanted: float, dt: float) -> dict:
     """Return an experiment as plain data, without its diagnosis."""
     last = rounds[-1]
     return {

@@ -70,29 +70,23 @@ class Structure:
 
 @dataclass(frozen=True)
 class Planned:
-    """A motion within the limits.
+    """A motion within the limits."""
 
-    Attributes
-    ----------
-    motion : what is demanded, without the way to where it begins.
-    x_d : (n,) m, one value to a sample: way, rest, motion, rest.
-    expected : probability that the right structure is expected to have after it; ``now`` before,
-        ``at_last`` after as many as there is time for of the motion that then tells most.
-    until : s of it until the right structure is expected to stand; inf if not in time.
-    pair : the two structures that it is to tell apart first, or None; ``log_units`` between them
-        with what is there already, expected.
-    peaks : limit -> largest value that any likely structure predicts, SI; ``shown``
-        (n, N_OUTPUTS) what the first predicts.
-    """
-
-    motion: Motion
-    x_d: np.ndarray
+    motion: Motion  # what is demanded, without the way to where it begins
+    x_d: np.ndarray  # (n,) m, one value to a sample: way, rest, motion, rest
+    # probability that the right structure is expected to have after it; ``now`` before,
+    # ``at_last`` after as many as there is time for of the motion that then tells most
     expected: float = np.nan
     now: float = np.nan
     at_last: float = np.nan
+    # s of it until the right structure is expected to stand; inf if not in time
     until: float = np.inf
+    # the two structures that it is to tell apart first, or None; ``log_units`` between them with
+    # what is there already, expected
     pair: tuple[Names, Names] | None = None
     log_units: float = np.nan
+    # limit -> largest value that any likely structure predicts, SI; ``shown`` (n, N_OUTPUTS) what
+    # the first predicts
     peaks: dict[str, float] = field(default_factory=dict)
     shown: np.ndarray | None = None
 
@@ -160,12 +154,7 @@ def first_look(settings: Settings, bounds: Bounds) -> tuple[Experiment, list[Str
     """Return the rig as the config has it, and what may be missing there, all equally probable.
 
     Nothing is recorded yet: the sensors are those of ``simulation.publish``, with
-    ``simulation.noise``.
-
-    Raises
-    ------
-    InputError
-        If the config publishes too little to plan with.
+    ``simulation.noise``.  Raises InputError if the config publishes too little to plan with.
     """
     middle, reach = 0.5 * (bounds.lower + bounds.upper), 0.5 * (bounds.upper - bounds.lower)
     period = max(2.0, 2.0 * np.pi * reach / (0.5 * bounds.speed))
@@ -210,10 +199,8 @@ class Contest:
     All are seen as moves from the first, in the innovations of its filter; what another
     structure's own parameters can make up for is projected out.
 
-    Parameters
-    ----------
-    experiment : what is recorded; ``here`` is what it tells.
-    explained : effect -> log units that the recordings lose without it.
+    ``experiment`` is what is recorded, ``here`` what it tells; ``explained`` : effect -> log units
+    that the recordings lose without it.
     """
 
     def __init__(self, experiment: Experiment, structures: Sequence[Structure],
@@ -229,8 +216,7 @@ class Contest:
         for i, one in enumerate(self.structures[1:], 1):
             model = one.fit.theta, one.fit.active
             own = tuple(f for f in one.fit.free if f.name not in shared)
-            more = free_slopes(replace(one.fit, free=own), model,
-                               [f"{i}:{f.name}" for f in own])
+            more = free_slopes(replace(one.fit, free=own), model, [f"{i}:{f.name}" for f in own])
             names = {f.name for f in one.fit.free}
             self._absorbing.append([one for one in self._base if one.label in names] + more)
             self._slopes += [Slope(f"set {i}", model), *more]
@@ -265,9 +251,7 @@ class Contest:
         Those between laws of one family count only as far as they are more than the form error
         of what the family explains; see :meth:`Refits.scores`.
 
-        Parameters
-        ----------
-        longer : how much more data there are than what is recorded.
+        ``longer`` : how much more data there are than what is recorded.
         """
         found = -POLICY.temper * np.vectorize(lambda left: counted(left, POLICY))(units)
         for i, j, form in self._same:
@@ -320,16 +304,13 @@ class Planner:
     bounds : complete limits; ``source`` names the config in errors.
     wanted : probability at which a structure stands.
     choose : among what is allowed; :func:`most_decisive` by default.
-
-    Attributes
-    ----------
-    binding : how often which limit left no size of a motion.
     """
 
     def __init__(self, settings: Settings, bounds: Bounds, source: str, wanted: float = 0.95,
                  choose: Choice | None = None):
         rig = settings.rig
         self.settings, self.bounds, self.source = settings, bounds, source
+        # binding: how often which limit left no size of a motion
         self.wanted, self.binding = wanted, Counter()
         self.choose = choose or most_decisive
         per_speed = rig.area_1 / rig.pump_displacement
@@ -341,10 +322,7 @@ class Planner:
     def first(self, position: float) -> Planned:
         """Return the first motion, from a position in m: what most that may be missing shows in.
 
-        Raises
-        ------
-        InputError
-            If the limits allow none.
+        Raises InputError if the limits allow none.
         """
         b = self.bounds
         if not b.lower < position < b.upper:
@@ -369,10 +347,7 @@ class Planner:
 
     def best(self, contest: Contest, position: float, left: float, ran: Collection[str] = ()
              ) -> Planned | None:
-        """Return the motion to run next; None where the limits allow none in ``left`` s.
-
-        ``ran`` : names of motions that are not run again.
-        """
+        """Return the motion to run next, none of ``ran``; None where none fits into ``left`` s."""
         found: list[Planned] = []
         for motion in candidates(self.limits):
             if motion.name in ran:

@@ -13,16 +13,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from eha_monitor.balances.parameters import parameters_of
+from eha_monitor.estimation import hold_choice, stages
 from eha_monitor.estimation.consistency import AROUND, Window, judge, stage_verdict
 from eha_monitor.estimation.discretisation import C_PLACE
-from eha_monitor.estimation.hold_choice import (
-    AUTO,
-    CONTINUOUS,
-    SAMPLED,
-    for_stages,
-    resolved,
-    with_hold,
-)
 from eha_monitor.estimation.inputs import StageInputs
 from eha_monitor.estimation.model_watch import StageWatch, Trial, model_status, tainted_by
 from eha_monitor.estimation.results import (
@@ -39,12 +32,6 @@ from eha_monitor.estimation.results import (
     Taint,
     no_data,
     units_of,
-)
-from eha_monitor.estimation.stages import (
-    StageTwoRun,
-    run_from,
-    run_stage_one_kernel,
-    run_stage_two_kernel,
 )
 from eha_monitor.live.ingest import LiveBuffer
 from eha_monitor.plausibility.judge import Plausibility, plausibility_of
@@ -63,13 +50,9 @@ FIRST_S = 2.0  # of rows; 360 cuts of so much and more of right recordings gave 
 
 @dataclass
 class Backoff:
-    """When to look again at something that costs much: after each no twice as late.
+    """When to look again at something that costs much: after each no twice as late."""
 
-    Parameters
-    ----------
-    shortest, longest : waiting times, s.
-    """
-
+    # shortest, longest: waiting times, s
     shortest: float
     longest: float
     looked: float = -math.inf
@@ -92,9 +75,7 @@ class Turns:
     Actuators of one process begin together, so that without it they all look over their buffers
     in the same tenth of a second, and rows of each wait for all.
 
-    Parameters
-    ----------
-    clock : gives seconds; the machine's time, not that of the rows.
+    ``clock`` : gives seconds; the machine's time, not that of the rows.
     """
 
     def __init__(self, clock: Callable[[], float] = time.monotonic):
@@ -111,15 +92,11 @@ class Turns:
 
 
 class Handover:
-    """The damping that stage two takes, and when it is worth a run over the buffer.
-
-    Attributes
-    ----------
-    damping : value and standard deviation, N·m·s/rad or N·s/m; None before the first.
-    """
+    """The damping that stage two takes, and when it is worth a run over the buffer."""
 
     def __init__(self, settings: Settings):
         self.settings = settings
+        # value and standard deviation, N·m·s/rad or N·s/m; None before the first
         self.damping: tuple[float, float] | None = None
         self._given_at = -math.inf
         self._weak, self._broken = Backoff(*WEAK_S), Backoff(*BROKEN_S)
@@ -175,20 +152,16 @@ class Handover:
 
 
 class LiveHold:
-    """Whether the drive holds its command, as the rows show; continuous until they do.
-
-    Attributes
-    ----------
-    settings : with the hold in force; replaced, never changed in place.
-    sentence : what the rows say, "" before they do, or where the config says it.
-    apart : relative difference that it makes to beta_e while nothing tells the holds apart.
-    """
+    """Whether the drive holds its command, as the rows show; continuous until they do."""
 
     def __init__(self, settings: Settings):
         self._given = settings
-        self._known = settings.command_hold != AUTO
-        self.settings = settings if self._known else with_hold(settings, CONTINUOUS)
-        self.sentence = ""
+        self._known = settings.command_hold != hold_choice.AUTO
+        # with the hold in force; replaced, never changed in place
+        self.settings = settings if self._known else hold_choice.with_hold(
+            settings, hold_choice.CONTINUOUS)
+        self.sentence = ""  # what the rows say, "" before they do, or where the config says it
+        # relative difference that it makes to beta_e while nothing tells the holds apart
         self.apart = 0.0
         self._backoff = Backoff(*HOLD_S)
 
@@ -198,36 +171,30 @@ class LiveHold:
 
     def examine(self, now: float, rows: Recording) -> bool:
         """Examine the rows; True where they decide the hold now."""
-        settings, decision = resolved([rows], self._given)
+        settings, decision = hold_choice.resolved([rows], self._given)
         self._known = decision is not None and decision.decided
         self._backoff.answered(now, yes=self._known)
         if self._known:
             self.settings, self.sentence, self.apart = (
-                for_stages(settings, decision), decision.sentence, 0.0)
+                hold_choice.for_stages(settings, decision), decision.sentence, 0.0)
         return self._known
 
-    def compare(self, found: StageTwoRun, rows: Recording, damping: np.ndarray,
+    def compare(self, found: stages.StageTwoRun, rows: Recording, damping: np.ndarray,
                 variance: np.ndarray) -> None:
         """Take stage two's run over some rows; see what the other hold makes of them."""
         if self._known:
             return
-        other = with_hold(self._given, SAMPLED)
-        held = run_stage_two_kernel(StageInputs.of(rows, other), other, damping, variance)
-        self.apart = abs(
-            float(found.state.x[C_PLACE] / max(held.state.x[C_PLACE], 1e-9)) - 1.0)
+        other = hold_choice.with_hold(self._given, hold_choice.SAMPLED)
+        held = stages.run_stage_two_kernel(StageInputs.of(rows, other), other, damping, variance)
+        self.apart = abs(float(found.state.x[C_PLACE] / max(held.state.x[C_PLACE], 1e-9)) - 1.0)
 
 
 class LivePlausibility:
-    """What the rows say about signs, units and channels.
-
-    Attributes
-    ----------
-    found : what the last look gave.
-    """
+    """What the rows say about signs, units and channels."""
 
     def __init__(self, settings: Settings):
         self._settings = settings
-        self.found = Plausibility()
+        self.found = Plausibility()  # what the last look gave
         self._backoff = Backoff(*PLAUSIBLE_S)
 
     def examine(self, now: float, rows: Recording) -> str | None:
@@ -286,27 +253,22 @@ class Fit:
 
 
 class LiveModel:
-    """What the live estimator knows about its own model.
-
-    Attributes
-    ----------
-    verdicts : on the last window of each stage that could be judged, None before there was one
-        and once it is ``REMEMBERED_S`` old.
-    first : row from which on a stage is judged; what came before was explained otherwise.
-    trying : when to ask whether the last window fits again.
-    looks : least squares on the balances while a mismatch stands, the last ``LOOK_S`` of them.
-    """
+    """What the live estimator knows about its own model."""
 
     def __init__(self, settings: Settings):
         self.settings = settings
         self.watches = {stage: StageWatch(stage) for stage in STAGES}
+        # on the last window of each stage that could be judged, None before there was one and once
+        # it is ``REMEMBERED_S`` old
         self.verdicts: dict[str, Consistency | None] = dict.fromkeys(STAGES)
+        # row from which on a stage is judged; what came before was explained otherwise
         self.first = dict.fromkeys(STAGES, 0)
         self.judged_at = 0
         self._judged_s = dict.fromkeys(STAGES, -math.inf)
         self._trials = {name: Trial(units_of(settings.rig.motion)[name])
                         for name in (stage.parameter for stage in STAGES.values())}
-        self.trying = Backoff(*TRY_EVERY_S)
+        self.trying = Backoff(*TRY_EVERY_S)  # when to ask whether the last window fits again
+        # least squares on the balances while a mismatch stands, the last ``LOOK_S`` of them
         self.looks: tuple[Beside, ...] = ()
 
     def restart_rows(self) -> None:
@@ -331,7 +293,6 @@ class LiveModel:
         ----------
         taken : row after the last one that was filtered.
         changes : per stage (row, before, after, samples that showed it).
-        parameters : the present estimates.
         quantum : resolution of the position, m.
         time_of : time of a row, s.
         """
@@ -400,10 +361,10 @@ class LiveModel:
     def _run(self, stage: str, inputs: StageInputs, damping: tuple[float, float]) -> Fit:
         """Run a stage with one value of its parameter for the whole window."""
         if stage == "one":
-            out = run_stage_one_kernel(inputs, self.settings, frozen=True)[0]
+            out = stages.run_stage_one_kernel(inputs, self.settings, frozen=True)[0]
         else:
             b, variance = (np.full(inputs.rows, one) for one in damping)
-            out = run_from(0, inputs, self.settings, b, variance, frozen=True).out
+            out = stages.run_from(0, inputs, self.settings, b, variance, frozen=True).out
         about = STAGES[stage]
         parameter = about.judged(self.settings, out[about.value][-1], out[about.stddev][-1])
         innovation, stddev = out[about.innovation], out[about.innovation_stddev]

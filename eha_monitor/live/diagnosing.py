@@ -39,10 +39,7 @@ MODEL = ("rig", "effects", "command_hold")  # sections and keys of the config th
 class Candidate:
     """An estimator that is to take the place of the running one.
 
-    Parameters
-    ----------
-    estimator : with the other settings; knows no row yet.
-    past : rows to begin with, (times in s, columns), in order.
+    It knows no row yet; ``past`` are those to begin with, (times in s, columns), in order.
     """
 
     def __init__(self, estimator: LiveEstimator, past: Iterable[tuple[np.ndarray, Columns]]):
@@ -86,25 +83,15 @@ def model_of(settings: Settings) -> dict:
 
 @dataclass(frozen=True)
 class Adopted:
-    """A model that was put in place of that of the config.
+    """A model that was put in place of that of the config."""
 
-    Attributes
-    ----------
-    who : ``service`` or ``automatic``.
-    time_utc : when, ISO 8601.
-    words : the effects, for people.
-    report : where its diagnosis is described.
-    base : the model of the config then; for another one it is not valid.
-    model : as :func:`model_of`.
-    spread : relative standard deviations of ``B`` and ``beta_e`` in the diagnosis.
-    """
-
-    who: str
-    time_utc: str
-    words: str
-    report: str
-    base: dict
-    model: dict
+    who: str  # ``service`` or ``automatic``
+    time_utc: str  # when, ISO 8601
+    words: str  # the effects, for people
+    report: str  # where its diagnosis is described
+    base: dict  # the model of the config then; for another one it is not valid
+    model: dict  # as :func:`model_of`
+    # relative standard deviations of ``B`` and ``beta_e`` in the diagnosis
     spread: dict = field(default_factory=dict)
 
     def applied(self, settings: Settings) -> Settings:
@@ -127,23 +114,14 @@ class Adopted:
         return replace(snapshot, parameters=parameters)
 
     def save(self, path: Path) -> None:
-        """Write it, for the next start.
-
-        Raises
-        ------
-        InputError
-            If the place cannot be written.
-        """
+        """Write it, for the next start; raises InputError if the place cannot be written."""
         write_json(path, {"schema": SCHEMA} | asdict(self))
 
 
 def adopted_before(path: Path, settings: Settings) -> Adopted | None:
     """Return the model that an earlier run adopted for this config, None where none did.
 
-    Raises
-    ------
-    InputError
-        One line, if the file is none, or its model was adopted for another config.
+    Raises InputError if the file is none, or its model was adopted for another config.
     """
     try:
         tree = json.loads(path.read_text(encoding="utf-8"))
@@ -198,23 +176,14 @@ TURN, COMPARING = Turn(), Turn()
 
 @dataclass(frozen=True)
 class Answer:
-    """What came of a diagnosis.
+    """What came of a diagnosis."""
 
-    Attributes
-    ----------
-    problem : why there is no answer, as a sentence; "" where there is one.
-    tree : the JSON of ``diagnose``; empty without an answer.
-    completed : the config with what was found, None where nothing was.
-    folder : of the report, the JSON and the config; ``bags`` that were diagnosed.
-    wall_s : duration, s.
-    """
-
-    problem: str
-    folder: Path
+    problem: str  # why there is no answer, as a sentence; "" where there is one
+    folder: Path  # of the report, the JSON and the config; ``bags`` that were diagnosed
     bags: tuple[Path, ...]
-    tree: dict = field(default_factory=dict)
-    completed: Settings | None = None
-    wall_s: float = math.nan
+    tree: dict = field(default_factory=dict)  # the JSON of ``diagnose``; empty without an answer
+    completed: Settings | None = None  # the config with what was found, None where nothing was
+    wall_s: float = math.nan  # duration, s
 
     @property
     def verdict(self) -> str:
@@ -255,21 +224,10 @@ class Answer:
 
 
 class Diagnosing:
-    """One run of ``diagnose`` within its budget.
+    """One run of ``diagnose`` on bags of one machine in one state, the newest first.
 
-    Parameters
-    ----------
-    bags : of one machine in one state, the newest first.
-    settings : the config that they are diagnosed with; ``diagnosis`` is the budget.
-    folder : for what is written, made here.
-    further : arguments beside those.
-
-    Raises
-    ------
-    InputError
-        If the folder cannot be written.
-    OSError
-        If no process can be started.
+    ``settings`` are what it diagnoses with, and ``settings.diagnosis`` is its budget.  Raises
+    InputError if the folder cannot be written, OSError if no process can be started.
     """
 
     def __init__(self, bags: Sequence[Path], settings: Settings, folder: Path,
@@ -297,7 +255,7 @@ class Diagnosing:
                 env=os.environ | {"PYTHONPATH": os.pathsep.join(
                     [str(PACKAGE.parent), *filter(None, [os.environ.get("PYTHONPATH")])])},
                 stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=log)
-        self._answer: Answer | None = None
+        self.answer: Answer | None = None  # once there is one
         # To read the answer takes a tenth of a second: rows must not wait for it.
         self._reader = threading.Thread(target=self._read, daemon=True, name="diagnosis")
         self._reader.start()
@@ -306,10 +264,6 @@ class Diagnosing:
     def seconds(self) -> float:
         """For how long it has run."""
         return time.monotonic() - self._started
-
-    def take(self) -> Answer | None:
-        """Return the answer once there is one."""
-        return self._answer
 
     def end(self) -> None:
         """End the process, if it still runs."""
@@ -324,20 +278,19 @@ class Diagnosing:
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()
-            self._answer = self._failed(f"had not ended after {longest:.0f} s")
+            self.answer = self._failed(f"had not ended after {longest:.0f} s")
             return
         if status:
-            self._answer = self._failed(self._why(status))
+            self.answer = self._failed(self._why(status))
             return
         try:
             tree = json.loads((self._folder / "diagnosis.json").read_text(encoding="utf-8"))
             completed = load_settings(self._folder / "completed.yaml") if any(
                 tree.get(kind) for kind in FOUND) else None
         except (OSError, ValueError, KeyError, InputError) as problem:
-            self._answer = self._failed(f"left no answer: {problem}")
+            self.answer = self._failed(f"left no answer: {problem}")
             return
-        self._answer = Answer("", self._folder, self._bags, tree, completed,
-                              self.seconds)
+        self.answer = Answer("", self._folder, self._bags, tree, completed, self.seconds)
 
     def _failed(self, why: str) -> Answer:
         return Answer(f"the diagnosis of {self._bags[0]} {why}", self._folder, self._bags,
@@ -380,8 +333,7 @@ def effects_in_words(answer: Answer) -> str:
 def model_finding(adopted: Adopted | None) -> Finding:
     """Return which model is in force, who put it there and when."""
     if adopted is None:
-        return Finding(MODEL_IN_FORCE, "OK", "the model of the config is in force",
-                       {"adopted": 0})
+        return Finding(MODEL_IN_FORCE, "OK", "the model of the config is in force", {"adopted": 0})
     return Finding(MODEL_IN_FORCE, "OK", f"the config's model with {adopted.words} is in force: "
                    f"adopted by {adopted.who} at {adopted.time_utc}", {
                        "adopted": 1, "who": adopted.who, "time_utc": adopted.time_utc,
@@ -403,8 +355,7 @@ def answer_findings(answer: Answer | None) -> list[Finding]:
         "bag": ", ".join(map(str, answer.bags)), "report": str(answer.folder / "report.html"),
         "json": str(answer.folder / "diagnosis.json"),
         "config": str(answer.folder / "completed.yaml"), "wall_s": answer.wall_s})]
-    for one in (*tree.get("effects", []), *tree.get("rig_data", []),
-                *tree.get("rig_within", [])):
+    for one in (*tree.get("effects", []), *tree.get("rig_data", []), *tree.get("rig_within", [])):
         values: dict[str, float | int | str] = {}
         if one.get("probability") is not None:
             values["probability"] = float(one["probability"])

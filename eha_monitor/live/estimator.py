@@ -11,6 +11,7 @@ import numpy as np
 
 from eha_monitor.balances.parameters import parameters_of
 from eha_monitor.breakdown import begins_anew
+from eha_monitor.estimation import stages
 from eha_monitor.estimation.drive import LONGEST, takes_speed
 from eha_monitor.estimation.inputs import (
     REST_S,
@@ -32,22 +33,7 @@ from eha_monitor.estimation.results import (
 )
 from eha_monitor.estimation.rig_model import RigModel, missing, model_for, moved_mass
 from eha_monitor.estimation.sensors import noise_levels
-from eha_monitor.estimation.stages import (
-    LARGE,
-    constants_one,
-    constants_two,
-    engine_of,
-    run_stage_two_kernel,
-)
-from eha_monitor.live.checks import (
-    JUDGE_EVERY_S,
-    JUDGED_S,
-    KEPT,
-    Fit,
-    LiveHold,
-    LivePlausibility,
-    Turns,
-)
+from eha_monitor.live import checks
 from eha_monitor.live.ingest import BATCH, BUFFER_S, WARM_UP, Columns, Gathered, Grid
 from eha_monitor.live.state import (
     Change,
@@ -76,27 +62,23 @@ MOST_CHANGES = 200  # of each stage that are kept
 
 
 class LiveEstimator:
-    """The monitor's pipeline on live rows; knows nothing of ROS.
+    """The monitor's pipeline on live rows, without ROS; ``turns`` are shared within a thread."""
 
-    Parameters
-    ----------
-    turns : shared with the other estimators of the thread, if there are any.
-    """
-
-    def __init__(self, settings: Settings, turns: Turns | None = None):
+    def __init__(self, settings: Settings, turns: checks.Turns | None = None):
         self._given = settings
-        self._turns = turns or Turns()
+        self._turns = turns or checks.Turns()
         self._events: list[Event] = []
         self._now = 0.0
         self.reset("")
 
     def reset(self, reason: str) -> None:
         """Forget everything, estimates included; ``reason`` goes into the events."""
-        self._hold = LiveHold(self._given)
+        self._hold = checks.LiveHold(self._given)
         self.settings = self._hold.settings
         self.dt = self.settings.rig.sample_time
         self._gathered, self._grid = Gathered(), None
-        self._state = LiveState.new(self.settings, NOISE_AGAIN_S)
+        self._state = LiveState(self.settings, checks.Handover(self.settings),
+                                checks.LiveModel(self.settings), list(NOISE_AGAIN_S))
         self._checkpoints = Checkpoints()
         self._model: RigModel | None = None
         self._no_force = self._no_drive = None
@@ -104,7 +86,7 @@ class LiveEstimator:
         self._lag, self._context = LAG, CONTEXT
         self._temperature: float | None = None
         self._channels, self._news = frozenset(), 0  # set up for; rows with others
-        self._plausible = LivePlausibility(self.settings)
+        self._plausible = checks.LivePlausibility(self.settings)
         self._ranges, self._beyond = ranges_of(self.settings), ("", math.nan)
         self._shown: tuple = (None, {})  # the last parameters and what they were judged from
         if reason:
@@ -116,10 +98,7 @@ class LiveEstimator:
     def push_rows(self, times: np.ndarray, columns: Columns) -> None:
         """Take aligned rows at rising times, at most some tenths of a second of them.
 
-        Parameters
-        ----------
-        times : (n,) s.
-        columns : channel -> (n,) SI, NaN where it has no value.
+        ``columns`` : channel -> (n,) SI, NaN where it has no value.
         """
         if not len(times):
             return
@@ -152,10 +131,7 @@ class LiveEstimator:
         return begin
 
     def _place(self, times: np.ndarray, columns: Columns) -> None:
-        """Put rows to their places on the grid; after a long gap begin another one.
-
-        Parameters stay over it, states and buffered rows do not.
-        """
+        """Put rows to their places; over a long gap parameters stay, states and buffer do not."""
         while (done := self._grid.place(times, columns, self._state.taken)) < len(times):
             times, columns = times[done:], {name: values[done:]
                                             for name, values in columns.items()}
@@ -232,9 +208,9 @@ class LiveEstimator:
             max(circuit[s.COMMAND_DELAY], circuit[s.FEEDBACK_DELAY]) / self.dt)
         self._measure_noise()
         if self._no_force is None:
-            constants = constants_one(inputs, settings)._replace(R=self._state.r)
-            self._state.one = LiveStageOne.new(engine_of(settings)[0], self._model, constants,
-                                               settings.stage_one.prior)
+            constants = stages.constants_one(inputs, settings)._replace(R=self._state.r)
+            self._state.one = LiveStageOne.new(stages.engine_of(settings)[0], self._model,
+                                               constants, settings.stage_one.prior)
 
     def _measure_noise(self) -> None:
         state, buffer = self._state, self._grid.buffer
@@ -298,16 +274,8 @@ class LiveEstimator:
             self._grid.time_of(start) - self._began)
 
     def _inputs(self, start: int) -> StageInputs:
-        """Return the stages' inputs of rows that were filtered, from ``start`` on.
-
-        The rows after them are needed to read late channels.
-        """
+        """Return the inputs of filtered rows from ``start`` on; later rows show late channels."""
         return self._inputs_from(start).part(0, self._state.taken - start)
-
-    def _last(self, seconds: float) -> StageInputs:
-        """Return the inputs of the last seconds, or of as many as there are."""
-        start = self._state.taken - round(seconds / self.dt)
-        return self._inputs(max(self._grid.buffer.first, start))
 
     def _rows(self, seconds: float) -> Recording:
         """Return the rows of the last seconds, or as many as there are."""
@@ -350,7 +318,7 @@ class LiveEstimator:
             if not state.tester.standing(stage.key):  # else it makes up for what the model lacks
                 self._report(stage.key, f"{SYMBOLS[stage.parameter]} changed from "
                              f"{quantity(before, unit)} to {quantity(after, unit)}", number)
-            if stage is TWO and abs(after / before - 1.0) > LARGE:
+            if stage is TWO and abs(after / before - 1.0) > stages.LARGE:
                 state.stale_piece = True  # run again from the bank once some seconds show it
             if stage is ONE:
                 state.piece = max(number - window, buffer.first)
@@ -376,13 +344,12 @@ class LiveEstimator:
         self._checkpoints.keep(state, self.dt)
         if self._plausible.due(self._now, (buffer.end - buffer.first) * self.dt) and (
                 self._turns.free(self)):
-            news = self._plausible.examine(
-                self._now, buffer.recording(buffer.first, buffer.end))
+            news = self._plausible.examine(self._now, buffer.recording(buffer.first, buffer.end))
             if news is not None:
                 self._turns.took(self)
             if news:
                 self._report("monitor", news)
-        if (state.taken - state.tester.judged_at) * self.dt >= JUDGE_EVERY_S:
+        if (state.taken - state.tester.judged_at) * self.dt >= checks.JUDGE_EVERY_S:
             self._judge()
         estimates = self._parameters()
         state.tester.follow(self._now, estimates)
@@ -401,11 +368,11 @@ class LiveEstimator:
                                   self._parameters(), state.quantum, self._grid.time_of):
             self._report(found.stage, f"mismatch: {found.message.partition(': ')[2]}")
         for stage in state.stages:
-            stage.forget(*KEPT)
+            stage.forget(*checks.KEPT)
         standing = [stage for stage in STAGES if tester.standing(stage)]
         if standing:
             tester.look_beside(self._now, self._rows)
-        start = state.taken - round(JUDGED_S / self.dt)
+        start = state.taken - round(checks.JUDGED_S / self.dt)
         self._look_beyond(start, now)
         if not standing or start < self._grid.buffer.first or not tester.trying.due(now) or (
                 standing[0] == "two" and state.two is None):
@@ -423,17 +390,18 @@ class LiveEstimator:
                        self.settings.rig.position_gain) if self._ranges else ""
         if words and not self._beyond[0]:
             self._report("monitor", words)
-        since = self._beyond[1] if words and self._beyond[0] else now - JUDGED_S
+        since = self._beyond[1] if words and self._beyond[0] else now - checks.JUDGED_S
         self._beyond = words, since if words else math.nan
 
     def rehearse(self) -> None:
         """Do once what a mismatch will ask for, so that its compiled code is loaded."""
         parameters_of(self._rows(LOOK_S), self.settings)
+        state, buffer = self._state, self._grid.buffer
+        start = max(buffer.first, state.taken - round(BUFFER_S / self.dt))
         for stage in STAGES:
-            self._state.tester.try_again(stage, self._last(BUFFER_S), self._state.damping,
-                                         self._now)
+            state.tester.try_again(stage, self._inputs(start), state.damping, self._now)
 
-    def _adopt(self, stage: str, fit: Fit, start: int) -> None:
+    def _adopt(self, stage: str, fit: checks.Fit, start: int) -> None:
         """Carry on from a window that fits: what came before it no longer counts."""
         state, buffer = self._state, self._grid.buffer
         self._report(stage, "the model fits again since t = "
@@ -497,15 +465,15 @@ class LiveEstimator:
         b[edge:], variance[edge:] = value, stddev**2
         b[np.isnan(b)], variance[np.isnan(variance)] = value, stddev**2
         inputs = self._inputs(start)
-        found = run_stage_two_kernel(inputs, self.settings, b, variance)
+        found = stages.run_stage_two_kernel(inputs, self.settings, b, variance)
         try:
             check(found.out, LiveStageTwo.sigma)
         except FloatingPointError as problem:
             self._lose_two(problem, stop)
             return
         self._hold.compare(found, buffer.recording(start, stop), b, variance)
-        constants = constants_two(inputs, self.settings)._replace(R=state.r)
-        two = LiveStageTwo(run=engine_of(self.settings)[1], model=self._model,
+        constants = stages.constants_two(inputs, self.settings)._replace(R=state.r)
+        two = LiveStageTwo(run=stages.engine_of(self.settings)[1], model=self._model,
                            constants=constants, state=found.state, b_variance=variance[-1])
         if two.held and self._parameters()["beta_e"].status == "converged":
             return  # the buffer, begun anew after a gap, tells less
@@ -542,8 +510,7 @@ class LiveEstimator:
         state = self._state
         events, self._events = tuple(sorted(self._events, key=lambda e: e.time_s)), []
         estimates = self._parameters()
-        model = within(state.tester.status(self._now, estimates),
-                       *self._beyond)
+        model = within(state.tester.status(self._now, estimates), *self._beyond)
         runs = state.one or state.two
         position, velocity = map(float, runs.state.x[:2]) if runs else (math.nan, math.nan)
         return self._plausible.applied(LiveSnapshot(

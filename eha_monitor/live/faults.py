@@ -16,15 +16,13 @@ from eha_monitor.live.rows import Counts, Rows, Source, steps_from
 from eha_monitor.plausibility.held import SHORTEST_S, is_frozen
 from eha_monitor.recordings.recording import LARGEST, LIMITS
 
-# A sentence stands for so long after its last evidence.
-HELD_S = 3.0
+HELD_S = 3.0  # a sentence stands for so long after its last evidence
 # So many samples, and so large a share of them, make a fault; one message in thousands is none.
 FEW = 3
 # What two sources that use one topic look like; ends of sentences.
 MIXED = ("are duplicates and left out", "came out of order, behind later ones, and are left out")
 SHARE = 0.005
-# A step between stamps longer than this, in usual steps, lacks samples.
-GAP = 1.5
+GAP = 1.5  # a step between stamps longer than this, in usual steps, lacks samples
 # A rate this many times off the configured one is named.
 OTHER_RATE = 1.5
 NEAR_RATE = 0.2  # off it, the middle step of a jitter may be so much
@@ -36,8 +34,7 @@ GROWTHS = 5
 INTERRUPTED_S = 1.0  # without data: nothing is lost between, the source was not there
 # Kinds of sentences that a monitor that cannot keep up brings about by itself.
 CONSEQUENCES = ("missing", "late", "lacked")
-# So many samples are needed to tell a usual step.
-ENOUGH = 20
+ENOUGH = 20  # so many samples are needed to tell a usual step
 # What must move while a channel stands still: the demand, and for the demand itself the position.
 # The velocity is in no stage, and many drivers publish a zero there for ever.
 REFERENCES = {"x": "x_d", "omega": "x", "p1": "x", "p2": "x", "force": "x", "x_d": "x"}
@@ -64,10 +61,7 @@ STEADY_S = 1.0  # of a new level without a leap, before it is taken for the sens
 class Leaps:
     """Which values of a channel lie where it cannot have come from its last good one.
 
-    Parameters
-    ----------
-    rate : per s, that it cannot exceed.
-    least_s : shortest time between rows, s.
+    ``rate`` per s it cannot exceed; ``least_s`` is the shortest time between rows, s.
     """
 
     def __init__(self, rate: float, least_s: float):
@@ -120,18 +114,13 @@ class Leaps:
 
 
 class Stillness:
-    """Since when each channel has not changed.
-
-    Attributes
-    ----------
-    rows, counts : rows taken, and those that held each channel.
-    frozen : the channels that are.
-    """
+    """Since when each channel has not changed."""
 
     def __init__(self):
+        # rows, counts: rows taken, and those that held each channel
         self.rows = 0
         self.counts: dict[str, int] = {}
-        self.frozen: set[str] = set()
+        self.frozen: set[str] = set()  # the channels that are
         self._last: dict[str, float] = {}
         self._seen: dict[str, int] = {}  # stamp of the last value, ns
         self._changed: dict[str, int] = {}  # stamp of the last change, ns
@@ -234,33 +223,11 @@ class Stillness:
         if not past or reference in self.frozen:
             return False
         covered = self._widest[reference]
-        recent = [(low, high) for at, low, high in past
-                  if (self._now_ns - at) * 1e-9 < seconds]
+        recent = [(low, high) for at, low, high in past if (self._now_ns - at) * 1e-9 < seconds]
         if not recent or covered <= 0:
             return False
         moved = max(high for _, high in recent) - min(low for low, _ in recent)
         return moved > PART * covered
-
-
-class Sentences:
-    """Sentences by key, each standing for ``HELD_S`` after it was last noted."""
-
-    def __init__(self):
-        self._noted: dict[str, tuple[float, str]] = {}
-
-    def note(self, key: str, now: float, sentence: str) -> None:
-        """Take a sentence; a newer one of the same key replaces it."""
-        self._noted[key] = (now, sentence)
-
-    def standing(self, now: float, without: Collection[str] = ()) -> list[str]:
-        """Return the sentences that stand, in the order in which they first came.
-
-        ``without`` leaves out kinds, the first words of keys.
-        """
-        self._noted = {key: (at, text) for key, (at, text) in self._noted.items()
-                       if now - at <= HELD_S}
-        return [text for key, (_, text) in self._noted.items()
-                if key.partition(" ")[0] not in without]
 
 
 @dataclass
@@ -282,24 +249,18 @@ class FaultWatch:
 
     Parameters
     ----------
-    sources : the streams.
     sample_time : as configured, s.
     latency : how long a row waits for its last channel, s.
     rotary : whether the position is an angle.
-
-    Attributes
-    ----------
-    stillness : of each channel's value; takes the rows.
-    missing : samples that lack between the stamps, of all sources.
     """
 
     def __init__(self, sources: list[Source], sample_time: float, latency: float,
                  rotary: bool = False):
         self._sources, self._sample_time, self._latency = sources, sample_time, latency
         self._past = {source.name: _Past() for source in sources}
-        self._sentences = Sentences()
-        self.stillness = Stillness()
-        self.missing = 0
+        self._noted: dict[str, tuple[float, str]] = {}  # when last, and the sentence, by key
+        self.stillness = Stillness()  # of each channel's value; takes the rows
+        self.missing = 0  # samples that lack between the stamps, of all sources
         self._looked = False
         self._no_values: dict[str, str] = {}  # sentence of values left out since the last look
         self._left_out: dict[str, int] = {}  # channel -> how many values, since the last look
@@ -349,24 +310,22 @@ class FaultWatch:
             past.behind, past.at = math.nan, -math.inf
         self.stillness = Stillness()
 
-    @property
-    def frozen(self) -> bool:
-        """Whether a channel is frozen now."""
-        return bool(self.stillness.frozen)
-
     def note(self, key: str, now: float, sentence: str) -> None:
-        """Take a sentence that somebody else found."""
-        self._sentences.note(key, now, sentence)
+        """Take a sentence; a newer one of the same key replaces it."""
+        self._noted[key] = (now, sentence)
 
     def sentences(self, now: float, without: Collection[str] = ()) -> list[str]:
-        """Return what stands at ``now`` (s, monotonic), see :meth:`Sentences.standing`."""
-        return self._sentences.standing(now, without)
+        """Return what stands at ``now`` (s, monotonic), in the order in which it first came.
+
+        ``without`` leaves out kinds, the first words of keys.
+        """
+        self._noted = {key: (at, text) for key, (at, text) in self._noted.items()
+                       if now - at <= HELD_S}
+        return [text for key, (_, text) in self._noted.items()
+                if key.partition(" ")[0] not in without]
 
     def look(self, now: float) -> dict[str, int]:
-        """Compare with the last look; return channels found frozen now, and since when, ns.
-
-        ``now`` in s, on the clock of :meth:`RowAligner.push`.
-        """
+        """Compare with the last look; return channels found frozen now, and since when, ns."""
         before, self._looked = self._looked, True
         for source in self._sources:
             past = self._past[source.name]

@@ -45,11 +45,7 @@ class Gathered:
 class LiveBuffer:
     """Rows ``first`` to ``end`` (absolute numbers) of the grid, NaN where nothing came.
 
-    Parameters
-    ----------
-    seconds : how much is kept at least.
-    dt : sample time, s.
-    seen : channels that came before, though not in these rows.
+    ``seconds`` are kept at least; ``seen`` are channels that came before, not in these rows.
     """
 
     def __init__(self, seconds: float, dt: float, seen: frozenset[str] = frozenset()):
@@ -60,15 +56,10 @@ class LiveBuffer:
         self.end = 0
         self.seen: set[str] = set(seen)
 
-    @property
-    def at_once(self) -> int:
-        """How many rows may be written at a time."""
-        return max(self.length // 4, 1)
-
     def write(self, numbers: np.ndarray, columns: dict[str, np.ndarray]) -> None:
         """Write rows of rising ``numbers``, the first no earlier than the last one.
 
-        Rows between stay NaN, and so does what is NaN or beyond all sensors.
+        Not more than ``length``; rows between stay NaN, as what is NaN or beyond all sensors.
         """
         last = int(numbers[-1])
         if last - self.first >= 2 * self.length:
@@ -104,13 +95,7 @@ class LiveBuffer:
 
 
 class Grid:
-    """The buffer, and the times at which its rows stand.
-
-    Attributes
-    ----------
-    buffer : the last seconds.
-    origin : time of row 0, s.
-    """
+    """The buffer of the last seconds, and the times of its rows: row 0 is at ``origin``, s."""
 
     def __init__(self, origin: float, dt: float, seen: frozenset[str] = frozenset()):
         self.buffer, self.origin, self.dt = LiveBuffer(BUFFER_S, dt, seen), origin, dt
@@ -121,12 +106,7 @@ class Grid:
         return self.origin + number * self.dt
 
     def place(self, times: np.ndarray, columns: Columns, taken: int) -> int:
-        """Put rows to their places, up to a long gap; return how many.
-
-        Parameters
-        ----------
-        taken : rows of the grid that have been filtered: they stand.
-        """
+        """Put rows to their places, up to a long gap; return how many.  Those ``taken`` stand."""
         buffer, long, done = self.buffer, LONG_GAP_S / self.dt, 0
         while done < len(times):
             places = (times[done:] - self.origin) / self.dt
@@ -138,7 +118,7 @@ class Grid:
             # The same place again: the nearer one stands, else the first, if not yet filtered.
             if numbers[0] >= end or (numbers[0] == end - 1 >= taken
                                      and off[0] < self._off - NEARER):
-                steps = np.diff(numbers[: buffer.at_once])
+                steps = np.diff(numbers[: max(buffer.length // 4, 1)])
                 breaks = np.flatnonzero((steps <= 0) | (steps > long))
                 count = int(breaks[0]) + 1 if len(breaks) else len(steps) + 1
                 buffer.write(numbers[:count], {

@@ -11,7 +11,7 @@ whole; else sample by sample in the order in which they came.
 
 import math
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
 
 import numpy as np
@@ -23,8 +23,7 @@ FAR_BACK_NS = 500_000_000
 FAR_AHEAD_NS = 60_000_000_000
 CONFIRM_FAR = 3
 CONFIRM_NEAR = 20
-# A source that was silent for this long is not waited for.
-SILENT_S = 0.25
+SILENT_S = 0.25  # a source that was silent for this long is not waited for
 # A held channel (temperature) counts as measured for this long.
 HOLD_NS = 60_000_000_000
 KEPT = 8192  # samples of a source that wait for a row, at most
@@ -40,20 +39,14 @@ def steps_from(before: float, values: np.ndarray) -> np.ndarray:
 
 @dataclass(kw_only=True)
 class Counts:
-    """What became of the samples of a stream.
+    """What became of the samples of a stream."""
 
-    Attributes
-    ----------
-    taken, late, repeated : samples taken, dropped as late, as repeated.
-    empty : messages with the entry and without a number.
-    lacked : rows that went without this source.
-    """
-
+    # taken, late, repeated: samples taken, dropped as late, as repeated
     taken: int = 0
     late: int = 0
     repeated: int = 0
-    empty: int = 0
-    lacked: int = 0
+    empty: int = 0  # messages with the entry and without a number
+    lacked: int = 0  # rows that went without this source
 
     def counts(self) -> "Counts":
         """Return the counts as they are now."""
@@ -64,28 +57,19 @@ class Counts:
 class Source(Counts):
     """One stream of channels that share a stamp, and what became of its samples.
 
-    Attributes
-    ----------
-    name : for messages, e.g. ``joint_states (piston)``.
-    channels : names of the values of each sample, in order.
-    held : slow channels: the last value counts, no row waits for the next one.
-    by_receipt : its messages have no stamp, that of their receipt stands for it.
-    last_ns : stamp of the last sample taken; None before the first.
-    heard_s : when the last sample came, on the caller's clock.
-    jumped : samples dropped as doubtful jumps.
-    skipped : messages since the last sample that gave none.
-    steps : ns between the stamps taken, shared among what was not read between them.
-    stamps, values, came : the samples that wait: ns, (n, k), s on the caller's clock.
+    The samples that wait are ``stamps``, ``values`` and ``came``: ns, (n, k), s on the caller's
+    clock.
     """
 
-    name: str
-    channels: tuple[str, ...]
-    held: bool = False
-    by_receipt: bool = False
-    last_ns: int | None = None
-    heard_s: float = -math.inf
-    jumped: int = 0
-    skipped: int = 0
+    name: str  # for messages, e.g. ``joint_states (piston)``
+    channels: tuple[str, ...]  # names of the values of each sample, in order
+    held: bool = False  # slow channels: the last value counts, no row waits for the next one
+    by_receipt: bool = False  # its messages have no stamp, that of their receipt stands for it
+    last_ns: int | None = None  # stamp of the last sample taken; None before the first
+    heard_s: float = -math.inf  # when the last sample came, on the caller's clock
+    jumped: int = 0  # samples dropped as doubtful jumps
+    skipped: int = 0  # messages since the last sample that gave none
+    # ns between the stamps taken, shared among what was not read between them
     steps: deque = field(default_factory=lambda: deque(maxlen=KEPT))
     epoch_ns: int | None = None
     doubted: int = 0
@@ -127,45 +111,28 @@ class Source(Counts):
 
 @dataclass(frozen=True)
 class Batch:
-    """What a topic brought of one source, message by message.
-
-    Attributes
-    ----------
-    stamps, values, came : (n,) ns, (n, k), (n,) s.
-    lacking : of messages that gave no sample, whether for want of a number; None where all gave
-        one.
-    """
+    """What a topic brought of one source, message by message."""
 
     source: Source
+    # stamps, values, came: (n,) ns, (n, k), (n,) s
     stamps: np.ndarray
     values: np.ndarray
     came: np.ndarray
+    # of messages that gave no sample, whether for want of a number; None where all gave one
     lacking: tuple[bool | None, ...] | None = None
 
 
 @dataclass(frozen=True)
 class Rows:
-    """Aligned rows.
+    """Aligned rows."""
 
-    Attributes
-    ----------
-    stamps, came : (n,) ns; when each position came, s on the caller's clock.
-    columns : channel -> (n,), NaN where it has no value.
-    """
-
+    # stamps, came: (n,) ns; when each position came, s on the caller's clock
     stamps: np.ndarray
-    columns: dict[str, np.ndarray]
+    columns: dict[str, np.ndarray]  # channel -> (n,), NaN where it has no value
     came: np.ndarray
 
     def __len__(self) -> int:
         return len(self.stamps)
-
-    def __iter__(self) -> Iterator[tuple[int, dict[str, float], float]]:
-        """Yield row by row: stamp, the channels that have a value, when it came."""
-        for k in range(len(self)):
-            row = {name: float(values[k]) for name, values in self.columns.items()}
-            yield int(self.stamps[k]), {name: value for name, value in row.items()
-                                        if math.isfinite(value)}, float(self.came[k])
 
     def part(self, start: int, stop: int) -> "Rows":
         """Return rows ``start`` to ``stop``."""
@@ -182,23 +149,20 @@ class RowAligner:
     sources : the streams; exactly one holds the channel ``x`` and gives the rows their stamps.
     latency : how long a row waits for its last channel, s; also the longest span that is
         interpolated.
-
-    Attributes
-    ----------
-    rows, incomplete : rows given out, and those among them that lacked a channel of a source
-        that was not silent.
-    reset_reason : why the rows start anew, until :meth:`take_reset` is called; else None.
     """
 
     def __init__(self, sources: list[Source], latency: float):
         self.sources = sources
         self.latency = latency
+        # rows, incomplete: rows given out, and those among them that lacked a channel of a source
+        # that was not silent
         self.rows = self.incomplete = 0
         self._span_ns = round(latency * 1e9)
         self._leader = next(s for s in sources if "x" in s.channels)
         self._followers = [s for s in sources if s is not self._leader]
         self._names = [name for s in (self._leader, *self._followers) for name in s.channels]
         self._before: list[Rows] = []  # the clock jumped back
+        # why the rows start anew, until :meth:`take_reset` is called; else None
         self.reset_reason: str | None = None
 
     def take(self, batches: Sequence[Batch]) -> None:
@@ -240,8 +204,7 @@ class RowAligner:
         source.taken += len(batch.stamps)
         source.add_all(batch.stamps, batch.values, batch.came)
 
-    def push(self, source: Source, stamp_ns: int, values: tuple[float, ...],
-             now: float) -> None:
+    def push(self, source: Source, stamp_ns: int, values: tuple[float, ...], now: float) -> None:
         """Take one sample of a source; ``now`` in s on a clock that only rises."""
         last = source.last_ns
         ordinary = last is not None and 0 < stamp_ns - last <= FAR_AHEAD_NS
@@ -269,8 +232,7 @@ class RowAligner:
             return self._before.pop(0) if self._before else self._rows(0, now)
         leader = self._leader
         leader.settle()
-        awaited = [s.last_ns for s in self._followers
-                   if not s.held and now - s.heard_s < SILENT_S]
+        awaited = [s.last_ns for s in self._followers if not s.held and now - s.heard_s < SILENT_S]
         count = len(leader.stamps)
         if awaited:
             limit = min(-2**63 if last is None else last for last in awaited)

@@ -33,17 +33,14 @@ ROUNDING = 1e-3  # of a sample's variance, by which rounding may make one negati
 
 
 def check(out: np.ndarray, sigma: int) -> None:
-    """Refuse what a stage wrote over some rows where its covariance broke down.
+    """Raise FloatingPointError where a stage's variance is no longer positive.
+
+    Numbers that no rig has came then.
 
     Parameters
     ----------
     out : with the innovations and their standard deviations as the last two rows.
     sigma : row of the parameter's standard deviation.
-
-    Raises
-    ------
-    FloatingPointError
-        If a variance is no longer positive: numbers that no rig has came.
     """
     measured = np.isfinite(out[-2])
     if not (np.isfinite(out[sigma]).all() and np.isfinite(out[-1][measured]).all()):
@@ -52,17 +49,11 @@ def check(out: np.ndarray, sigma: int) -> None:
 
 @dataclass(kw_only=True)
 class LiveStage:
-    """What both stages share: the very step that runs over recordings, batch by batch.
+    """What both stages share: the very step that runs over recordings, batch by batch."""
 
-    Attributes
-    ----------
-    run : runs the stage over rows (:func:`stages.engine_of`).
-    model : the rig and its modelled effects.
-    constants, state : of the stage; ``state`` is updated in place.
-    """
-
-    run: Callable[..., int]
-    model: RigModel
+    run: Callable[..., int]  # runs the stage over rows (:func:`stages.engine_of`)
+    model: RigModel  # the rig and its modelled effects
+    # constants, state: of the stage; ``state`` is updated in place
     constants: ConstantsOne | ConstantsTwo
     state: StateOne | StateTwo
 
@@ -74,19 +65,9 @@ class LiveStage:
              ) -> tuple[np.ndarray, list[Change]]:
         """Take samples ``first`` to ``stop`` of some inputs.
 
-        Parameters
-        ----------
-        damping : for stage two, B and its variance.
-
-        Returns
-        -------
-        out, changes
-            (rows, stop) as the stage writes it, from ``first`` on; and the changes seen.
-
-        Raises
-        ------
-        FloatingPointError
-            If numbers that no rig has broke the filter.
+        ``damping`` : for stage two, B and its variance.  Returns (rows, stop) as the stage writes
+        it, from ``first`` on, and the changes seen.  Raises FloatingPointError if numbers that no
+        rig has broke the filter.
         """
         out, changes = np.empty((self.rows, stop)), []
         while first < stop:  # block by block, as a change may end in another beginning
@@ -105,7 +86,7 @@ class LiveStage:
 
     def _check(self) -> None:
         """Refuse variances of position and velocity that are, beyond rounding, negative."""
-        of_x, of_v = self.motion
+        of_x, of_v = (float(self.state.P[place]) for place in self.motion)
         r = self.constants.R
         if not (of_x > -ROUNDING * r and of_v > -ROUNDING * r / self.constants.dt**2):
             raise FloatingPointError(BROKEN)
@@ -130,15 +111,22 @@ class LiveStage:
 
         What is hours ago is no hopping to and fro; and an average over hours would hide wear.
 
-        Parameters
-        ----------
-        changes, memory : shares that are kept.
+        ``changes``, ``memory`` : shares that are kept.
         """
         if self.state.watch[watch.FROZEN] == 0.0:
             self.state.watch[[watch.CHANGES, watch.NET, watch.TRAVEL]] *= changes
         elif not self.held:
             self.variance = min(self.variance / memory,
                                 max(self.variance, self.constants.prior_variance))
+
+    @property
+    def variance(self) -> float:
+        """Variance as the filter has it: of B, or of the compliance."""
+        return float(self.state.P[self.place])
+
+    @variance.setter
+    def variance(self, value: float) -> None:
+        self.state.P[self.place] = value
 
     @property
     def held(self) -> bool:
@@ -157,6 +145,8 @@ class LiveStageOne(LiveStage):
 
     prior: float
     rows, sigma = 6, 3  # of what the stage writes; the place of the parameter's sigma
+    # Places in the covariance: of the parameter; of position and velocity.
+    place, motion = BB_PLACE, (0, VV_PLACE)
 
     @classmethod
     def new(cls, run: Callable[..., int], model: RigModel, constants: ConstantsOne,
@@ -197,30 +187,14 @@ class LiveStageOne(LiveStage):
         """Its standard deviation, N·s/m."""
         return self.factor * math.sqrt(self.variance)
 
-    @property
-    def variance(self) -> float:
-        """Variance of B as the filter has it."""
-        return float(self.state.P[BB_PLACE])
-
-    @variance.setter
-    def variance(self, value: float) -> None:
-        self.state.P[BB_PLACE] = value
-
-    @property
-    def motion(self) -> tuple[float, float]:
-        """Variances of position and velocity."""
-        return float(self.state.P[0]), float(self.state.P[VV_PLACE])
-
 
 @dataclass(kw_only=True)
 class LiveStageTwo(LiveStage):
-    """Stage two, from a state that a run over some rows left.
-
-    ``b_variance`` is that of the damping taken last.
-    """
+    """Stage two, from a state that a run left; ``b_variance`` is of the damping taken last."""
 
     b_variance: float
     rows, sigma = 8, 4
+    place, motion = (C_PLACE, C_PLACE), ((0, 0), (1, 1))
 
     def _rows(self, inputs: StageInputs, stop: int, b: float, b_variance: float):
         self.b_variance = b_variance
@@ -239,65 +213,35 @@ class LiveStageTwo(LiveStage):
             self.factor**2 * self.variance + to_b**2 * self.b_variance)
 
     @property
-    def variance(self) -> float:
-        """Variance of the compliance as the filter has it."""
-        return float(self.state.P[C_PLACE, C_PLACE])
-
-    @variance.setter
-    def variance(self, value: float) -> None:
-        self.state.P[C_PLACE, C_PLACE] = value
-
-    @property
-    def motion(self) -> tuple[float, float]:
-        """Variances of position and velocity."""
-        return float(self.state.P[0, 0]), float(self.state.P[1, 1])
-
-    @property
     def _compliance(self) -> float:
         return max(float(self.state.x[C_PLACE]), 1e-9)
 
 
 @dataclass
 class LiveState:
-    """What the filters know; rows and events are not part of it.
+    """What the filters know; rows and events are not part of it."""
 
-    Attributes
-    ----------
-    settings : those of the start; never changed in place.
-    handover, tester : when stage two gets a damping; the test of the model.
-    taken : rows that have been filtered.
-    one, two : the stages, once they run.
-    damping : B that stage two takes, and its variance.
-    piece : first row that the present damping holds for.
-    stale_piece : B has changed since stage two was run over the buffer.
-    clean : row from which on stage two is run again.
-    changes : of each stage (row, before, after, samples that showed it), the last 200.
-    noise_at : when the noise is measured again, s after the start.
-    noise, quantum, r : of the channels; resolution (m) and variance (m^2) of the position.
-    announced : parameters whose convergence has been reported.
-    """
-
-    settings: Settings
+    settings: Settings  # those of the start; never changed in place
+    # handover, tester: when stage two gets a damping; the test of the model
     handover: Handover
     tester: LiveModel
-    noise_at: list[float]
-    taken: int = 0
+    noise_at: list[float]  # when the noise is measured again, s after the start
+    taken: int = 0  # rows that have been filtered
+    # one, two: the stages, once they run
     one: LiveStageOne | None = None
     two: LiveStageTwo | None = None
-    damping: tuple[float, float] = (math.nan, math.nan)
-    piece: int = 0
-    stale_piece: bool = False
-    clean: int = 0
+    damping: tuple[float, float] = (math.nan, math.nan)  # B that stage two takes, and its variance
+    piece: int = 0  # first row that the present damping holds for
+    stale_piece: bool = False  # B has changed since stage two was run over the buffer
+    clean: int = 0  # row from which on stage two is run again
+    # of each stage (row, before, after, samples that showed it), the last 200
     changes: dict[str, list[Change]] = field(default_factory=lambda: {"one": [], "two": []})
+    # noise, quantum, r: of the channels; resolution (m) and variance (m^2) of the position
     noise: dict[str, NoiseEstimate] = field(default_factory=dict)
     quantum: float = 0.0
     r: float = math.nan
+    # parameters whose convergence has been reported
     announced: set[str] = field(default_factory=set)
-
-    @classmethod
-    def new(cls, settings: Settings, noise_at: tuple[float, ...]) -> "LiveState":
-        """Return what is known before the first row."""
-        return cls(settings, Handover(settings), LiveModel(settings), list(noise_at))
 
     @property
     def stages(self) -> list[LiveStage]:

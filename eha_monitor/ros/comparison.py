@@ -30,9 +30,9 @@ class Comparison:
 
     Something has moved where the model begins or ceases to fit, or B or beta_e, by least squares
     where it does not fit, differ surely and by more than ``MOVED`` from what they were at the
-    comparison before; and every ``EVERY_S`` anyway.
-    Whether that is a change is for the spread of the healthy recordings to say; a change without
-    a name must also show in a recording twice as long.
+    comparison before; and every ``EVERY_S`` anyway. Whether that is a change is for the spread of
+    the healthy recordings to say; a change without a name must also show in a recording twice as
+    long.  Raises InputError if the file is none, or of a rig of other areas, mass or pump.
 
     Parameters
     ----------
@@ -40,11 +40,6 @@ class Comparison:
     keeper : saves the rows that are compared.
     tell : takes an event and its level.
     log_ns : gives the log time, ns, of a row's time, s.
-
-    Raises
-    ------
-    InputError
-        If the file is none, or of a rig of other areas, mass or pump.
     """
 
     def __init__(self, settings: Settings, keeper: Keeper, tell: Callable[[str, str], None],
@@ -57,16 +52,11 @@ class Comparison:
         self.findings: list[Finding] = comparison_findings(None, "", len(known.sources))
         self._healthy = len(known.sources)
         self._running: Diagnosing | None = None
-        self._saving = False
+        self.saving = False  # its recording
         self._compared = (0.0, 0, "")  # as what was due
         self._begins = 0  # log time of the rows that are compared, ns
         self._changed: set[str] = set()
         self.reset()
-
-    @property
-    def saving(self) -> bool:
-        """Whether its recording is being saved."""
-        return self._saving
 
     @property
     def under_way(self) -> bool:
@@ -114,16 +104,16 @@ class Comparison:
         enough = self._settings.diagnosis.after * (2.0 if self._again else 1.0)
         if self._due is not None and now_s - self._due[0] >= enough:
             COMPARING.take(self)
-            self._saving, self._last_s, self._compared = True, now_s, self._due
+            self.saving, self._last_s, self._compared = True, now_s, self._due
             latest = self._log_ns(now_s - max(LATEST_S, enough))
             begins = self._due[1] + (round(1e9 * MOVES_S) if self._again else 0)
             self._begins = max(begins, latest)
             self._keeper.save_since(self._begins, self._saved)
 
     def _saved(self, bag: Saved) -> None:
-        if not self._saving:
+        if not self.saving:
             return
-        self._saving = False
+        self.saving = False
         try:
             if bag.problem is not None:
                 raise InputError(bag.problem)
@@ -137,7 +127,7 @@ class Comparison:
 
     def poll(self) -> bool:
         """Take the result of a comparison; True where there is one."""
-        answer = self._running.take() if self._running is not None else None
+        answer = self._running.answer if self._running is not None else None
         if answer is None:
             return False
         self._running, (_, since_ns, why) = None, self._compared
@@ -178,7 +168,7 @@ class Comparison:
         if self._running is not None:
             self._running.end()
         COMPARING.give_back(self)
-        self._running, self._saving, self._due, self._again = None, False, None, False
+        self._running, self.saving, self._due, self._again = None, False, None, False
 
 
 def _moved(before: tuple[float, float], now: tuple[float, float]) -> bool:

@@ -8,13 +8,12 @@ from pathlib import Path
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
-from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
 from eha_monitor.dashboard.events import ACKNOWLEDGED, EventLog
-from eha_monitor.dashboard.state import State
+from eha_monitor.dashboard.state import Actuator, State
 from eha_monitor.errors import InputError, installs
 from eha_monitor.health.alarms import WATCHED
 from eha_monitor.live.rows import Source
@@ -23,14 +22,13 @@ from eha_monitor.ros import running
 from eha_monitor.ros.messages import DIAGNOSIS, findings_of, subscribe_to_monitor
 from eha_monitor.ros.parameters import settings_of_node
 from eha_monitor.ros.subscriptions import TopicInput
-from eha_monitor.ros.topics import LATCHED, SHOWN_QOS, Topic, topics_of
+from eha_monitor.ros.topics import LATCHED, SHOWN_QOS, Topic, every, topics_of
 from eha_monitor.settings import Settings
 
 FOLLOW_PERIOD, TAKE_PERIOD = 1.0, 0.05  # s
 
 
-def position_topic(settings: Settings, source: str,
-                   resolve: Callable[[str], str] = str) -> Topic:
+def position_topic(settings: Settings, source: str, resolve: Callable[[str], str] = str) -> Topic:
     """Return the topic of the measured position, and of its streams only that one."""
     for topic in topics_of(settings, source, resolve):
         for entry in topic.entries:
@@ -43,27 +41,16 @@ def position_topic(settings: Settings, source: str,
 
 
 class Listener:
-    """Subscribes to what the page shows and keeps it in a state.
-
-    Parameters
-    ----------
-    node : node in the namespace of the topics.
-    settings : validated config.
-    source : name of the config in errors.
-    log : takes what changes.
-
-    Attributes
-    ----------
-    state : what was heard.
-    topics : full names of the topics, by the keys of ``View.silence``.
-    """
+    """Subscribes to what the page shows and keeps it in a state."""
 
     def __init__(self, node: Node, settings: Settings, source: str = "config",
                  log: EventLog | None = None):
+        # what was heard
         self.state = State(settings, time.time, log, Path(settings.monitor.save_folder)
                            / f"{plain_name(settings.rig.name)}_acknowledged.json")
         name = node.resolve_topic_name
         measured = position_topic(settings, source, name)
+        # full names of the topics, by the keys of ``View.silence``
         self.topics = {"measured": name(measured.name),
                        "estimates": ", ".join(name(f"monitor/{w.section}") for w in WATCHED),
                        "estimated": name("monitor/joint_states"),
@@ -73,16 +60,12 @@ class Listener:
         for period, work in ((FOLLOW_PERIOD, self.measured.follow_graph),
                              (FOLLOW_PERIOD, lambda: self.state.watch(time.monotonic())),
                              (TAKE_PERIOD, self._take_measured)):
-            node.create_timer(period, work, clock=Clock(clock_type=ClockType.STEADY_TIME))
+            every(node, period, work)
         subscribe_to_monitor(node, self._take_number, self._take_estimated, self._take_health)
         node.create_subscription(
             DiagnosticArray, DIAGNOSIS, lambda message: self.state.take_diagnosis(
                 findings_of(message)), LATCHED)
         node.create_service(Trigger, "dashboard/acknowledge", self._on_acknowledge)
-
-    def close(self) -> None:
-        """End the subscription that is not the node's own."""
-        self.measured.close()
 
     def _take_measured(self) -> None:
         messages, _, _ = self.measured.take()
@@ -90,7 +73,7 @@ class Listener:
             return
         now, clock_ns = time.monotonic(), self._node.get_clock().now().nanoseconds
         came, stamps_ns = (np.full(len(messages), value) for value in (now, clock_ns))
-        for batch in self.measured.read(messages, came, stamps_ns):
+        for batch in self.measured.reader.read(messages, came, stamps_ns):
             for stamp_ns, values in zip(batch.stamps, batch.values, strict=True):
                 self.state.take_position("measured", float(stamp_ns) * 1e-9, float(values[0]), now)
 
@@ -119,23 +102,16 @@ class Listener:
 
 @dataclass(frozen=True)
 class Served:
-    """What is served and where.
+    """What is served and where."""
 
-    Attributes
-    ----------
-    port, host : of the page; port 0 takes any that is free.
-    token : asked of everyone; None asks for none on loopback, and makes one elsewhere.
-    metrics : whether ``/metrics`` is there.
-    foxglove : port of a Foxglove WebSocket on loopback, or None for none.
-    names : further host names to answer to; a token is asked for then.
-    """
-
+    # port, host: of the page; port 0 takes any that is free
     port: int
     host: str
+    # asked of everyone; None asks for none on loopback, and makes one elsewhere
     token: str | None = None
-    metrics: bool = False
-    foxglove: int | None = None
-    names: tuple[str, ...] = ()
+    metrics: bool = False  # whether ``/metrics`` is there
+    foxglove: int | None = None  # port of a Foxglove WebSocket on loopback, or None for none
+    names: tuple[str, ...] = ()  # further host names to answer to; a token is asked for then
 
 
 @contextlib.contextmanager
@@ -153,19 +129,12 @@ def run_dashboard(config: Path | None, ros_args: list[str], served: Served,
                   duration: float | None = None, actuators: tuple[str, ...] = ()) -> int:
     """Serve the page until a signal or for ``duration`` s; returns the exit status.
 
-    Parameters
-    ----------
-    actuators : ``NAME=CONFIG`` for each of several actuators; else ``config`` is the only one.
-
-    Raises
-    ------
-    InputError
-        If the port is taken, or the address, config, a parameter or a ROS argument is wrong.
+    ``actuators`` : ``NAME=CONFIG`` for each of several actuators; else ``config`` is the only one.
+    Raises InputError if the port is taken, or the address, config, a parameter or a ROS argument
+    is wrong.
     """
     with _optional("dashboard", "dashboard"):
-        from eha_monitor.dashboard.events import EventLog
         from eha_monitor.dashboard.serve import claim, metrics_text, serving
-        from eha_monitor.dashboard.state import Actuator
     metrics = None
     if served.metrics:
         with _optional("--metrics", "dashboard"):
@@ -183,7 +152,7 @@ def run_dashboard(config: Path | None, ros_args: list[str], served: Served,
             node = open_.enter_context(running.node("dashboard", settings.monitor.namespace))
             settings = settings_of_node(node, settings)
             heard = Listener(node, settings, source, log)
-            open_.callback(heard.close)
+            open_.callback(heard.measured.close)  # it is not the node's own
             nodes.append((node, settings))
             shown[settings.rig.name] = Actuator(
                 settings.rig.name, node.get_namespace(), node.context.get_domain_id(),

@@ -41,10 +41,7 @@ _NAMES = {"boolean": "bool", "float": "float32", "double": "float64"}
 def types_of_class(type_name: str) -> dict:
     """Return type name -> (constants, fields) as rosbags has them, of a type and all inside it.
 
-    Raises
-    ------
-    InputError
-        If a package is not installed, or a field is of a kind that is not read.
+    Raises InputError if a package is not installed, or a field is of a kind that is not read.
     """
     fields, found = [], {}
     for name, kind in message_class(type_name).get_fields_and_field_types().items():
@@ -67,22 +64,17 @@ def types_of_class(type_name: str) -> dict:
 
 
 class Stream:
-    """What is read of one entry of a topic.
-
-    Attributes
-    ----------
-    problem : why the last message gave nothing, as a sentence, or None.
-    absent : what came in place of an entry that has messages of its own, as a sentence, or None.
-    unfit : why messages of this type give nothing, as a sentence, or None.
-    seen : a message held the entry.
-    """
+    """What is read of one entry of a topic."""
 
     def __init__(self, entry: Entry):
         self.entry = entry
+        # why the last message gave nothing, as a sentence, or None
         self.problem: str | None = None
+        # what came in place of an entry that has messages of its own, as a sentence, or None
         self.absent: str | None = None
+        # why messages of this type give nothing, as a sentence, or None
         self.unfit: str | None = None
-        self.seen = False
+        self.seen = False  # a message held the entry
         self._since = 0  # messages without it since the last with it
 
     def not_of(self, type_name: str, fields: Collection[str]) -> None:
@@ -134,34 +126,20 @@ class Stream:
 class TopicReader:
     """Reads the streams of one topic out of its serialised messages.
 
-    Parameters
-    ----------
-    topic : topic and its streams.
-    type_name : type of its messages.
-    streams : one for each entry; they keep what is wrong with it.
-
-    Attributes
-    ----------
-    kind : class of the messages.
-    stamps : (n,) ns, of the messages read last.
-    zero_stamps : messages so far whose stamp was zero.
-
-    Raises
-    ------
-    InputError
-        If the type is not installed.
+    ``streams`` : one for each entry; they keep what is wrong with it.  Raises InputError if the
+    type is not installed.
     """
 
     def __init__(self, topic: Topic, type_name: str, streams: Sequence[Stream]):
-        self.kind = message_class(type_name)
+        self.kind = message_class(type_name)  # class of the messages
         self._types, self._type = types_of_class(type_name), type_name
         self._stamped = has_stamp(self._types, type_name)
         self._named = has_names(self._types, type_name)
         self._streams = streams
         self._wants = [stream.wants(self._named) for stream in streams]
         self._layouts: list[Layout] = []
-        self.zero_stamps = 0
-        self.stamps = np.empty(0, dtype=np.int64)
+        self.zero_stamps = 0  # messages so far whose stamp was zero
+        self.stamps = np.empty(0, dtype=np.int64)  # (n,) ns, of the messages read last
         self._by_receipt(not self._stamped)
         has = {name for name, _ in self._types[type_name][1]}
         for stream in streams:
@@ -176,13 +154,11 @@ class TopicReader:
         for stream in self._streams:
             stream.entry.source.by_receipt = unstamped
 
-    def read(self, messages: Sequence[bytes], came: np.ndarray, now_ns: np.ndarray
-             ) -> list[Batch]:
+    def read(self, messages: Sequence[bytes], came: np.ndarray, now_ns: np.ndarray) -> list[Batch]:
         """Return the samples of each stream in some messages, of which there is one at least.
 
-        Parameters
-        ----------
-        came, now_ns : (n,) when each was received: s, monotonic, and ns on the node's clock.
+        ``came``, ``now_ns`` : (n,) when each was received: s, monotonic, and ns on the node's
+        clock.
         """
         groups = self._by_layout(messages)
         self.stamps = stamps = np.array(now_ns, dtype=np.int64)
@@ -229,8 +205,7 @@ class TopicReader:
             if len(layout.template) == len(data) and layout.fits(table_of([data]))[0]:
                 return layout
         every = (want for wants in self._wants for want in wants)
-        layout = locate(data, self._types, self._type,
-                        (*every, *(STAMP if self._stamped else ())))
+        layout = locate(data, self._types, self._type, (*every, *(STAMP if self._stamped else ())))
         if len(self._layouts) < LAYOUTS:
             self._layouts.append(layout)
         return layout
@@ -267,11 +242,7 @@ class TopicReader:
     def _come_apart(self, now: list[Layout]) -> bool:
         """Tell whether what a message lacks is brought by others: joints of other messages.
 
-        Not where an entry has never come, or came beside joints that now come without it.
-
-        Parameters
-        ----------
-        now : layouts of the messages that are read.
+        Not where an entry has never come, or came beside joints that come without it ``now``.
         """
         for stream in self._streams:
             names = {True: [], False: []}

@@ -12,7 +12,6 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
-from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
 from eha_monitor.errors import InputError
@@ -34,6 +33,7 @@ from eha_monitor.live.ingest import Columns
 from eha_monitor.recordings.ring import Saved, plain_name
 from eha_monitor.ros.comparison import Comparison
 from eha_monitor.ros.keeper import Keeper, LateTrigger
+from eha_monitor.ros.topics import every
 from eha_monitor.settings import Settings
 
 POLL_PERIOD = 0.2
@@ -50,17 +50,11 @@ class SelfDiagnosis:
 
     Parameters
     ----------
-    node : node in the namespace of the topics.
     settings : validated config, without anything adopted.
     keeper : saves what is diagnosed.
     publish : takes what ``monitor/diagnosis`` is to say.
     candidate : makes an estimator with other settings, from the rows since a time in s.
     exchange : puts an estimator with its settings in place of the running one.
-
-    Attributes
-    ----------
-    adopted : the model in force in place of the config's, None where there is none.
-    of_mismatch : what the last diagnosis says of the mismatch that stands; None before one.
     """
 
     def __init__(self, node: Node, settings: Settings, keeper: Keeper,
@@ -72,6 +66,7 @@ class SelfDiagnosis:
         self._log = node.get_logger()
         self._folder = Path(settings.monitor.save_folder)
         self._file = self._folder / f"{plain_name(settings.rig.name)}_adopted.json"
+        # the model in force in place of the config's, None where there is none
         self.adopted: Adopted | None = None
         self._answer: Answer | None = None
         self._running: Diagnosing | None = None
@@ -90,8 +85,7 @@ class SelfDiagnosis:
             ("diagnose", self._on_diagnose), ("adopt", self._on_adopt),
             ("revert", self._on_revert))}
         self._node = node
-        self._timer = node.create_timer(POLL_PERIOD, self._poll,
-                                        clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self._timer = every(node, POLL_PERIOD, self._poll)
         try:
             self.adopted = adopted_before(self._file, settings)
         except InputError as problem:
@@ -113,6 +107,7 @@ class SelfDiagnosis:
         self._waits = self._waits if self._waits == SERVICE else ""
         self._since_s: float | None = None
         self._tries, self._explained = 0, False
+        # what the last diagnosis says of the mismatch that stands; None before one
         self.of_mismatch: Answer | None = None
         self._same: list[Path] = []  # bags of this mismatch, of one state as far as is known
         self._saved_ns: int | None = None  # where the last of them ends
@@ -274,7 +269,7 @@ class SelfDiagnosis:
         self._say()
 
     def _poll(self) -> None:
-        answer = self._running.take() if self._running is not None else None
+        answer = self._running.answer if self._running is not None else None
         if answer is not None:
             self._running = None
             self._ended(answer)
@@ -304,8 +299,7 @@ class SelfDiagnosis:
                        f"{answer.words}")
         service = self._services["diagnose"]
         service.take_up()
-        service.answer(not answer.problem, answer.problem or (
-            f"{answer.words}; {answer.folder}"))
+        service.answer(not answer.problem, answer.problem or f"{answer.words}; {answer.folder}")
         if (not answer.problem and self._settings.diagnosis.adopt == AUTOMATIC
                 and self._coming is None):
             self._consider(answer)
@@ -365,8 +359,7 @@ class SelfDiagnosis:
         self._target = None if answer is None else Adopted(
             by, "", effects_in_words(answer), str(answer.folder / "report.html"),
             model_of(self._settings), model_of(answer.completed), answer.spread)
-        settings = self._settings if self._target is None else self._target.applied(
-            self._settings)
+        settings = self._settings if self._target is None else self._target.applied(self._settings)
         since_s = max(self._now_s - PAST_S, self._since_s or 0.0)
         self._coming = self._make_candidate(settings, np.inf if self._gate else since_s)
         if self._gate:

@@ -7,19 +7,16 @@ from dataclasses import dataclass, field, replace
 
 from eha_monitor.estimation.results import Consistency, Event, ModelStatus, ParameterEstimate
 from eha_monitor.health.alarms import ADVICE, WATCHED, AlarmBoard
-from eha_monitor.health.judge import Finding
-from eha_monitor.health.overload import LatencyMeter, Overload, ProcessorMeter
+from eha_monitor.health.judge import MISMATCH, Finding
+from eha_monitor.health.overload import Overload
 from eha_monitor.live.diagnosing import Answer
-from eha_monitor.live.faults import FaultWatch
-from eha_monitor.live.rows import RowAligner
-from eha_monitor.ros.messages import ESTIMATE_LEVELS, alarm_finding
+from eha_monitor.ros.messages import ESTIMATE_LEVELS
 from eha_monitor.ros.subscriptions import TopicInput
 from eha_monitor.settings.monitor import Settings
 
 STAGES = {"one": WATCHED[0], "two": WATCHED[1]}
 # Keys of the values that dashboards plot.
 KEYS = {"B": "viscous_damping_Ns_per_m", "beta_e": "bulk_modulus_Pa"}
-MISMATCH = "model_mismatch"
 # Channels that a parameter needs, besides the position: one of these sets.
 NEEDS = {"B": (("force",), ("p1", "p2")), "beta_e": (("x_d",),)}
 _MODEL_LEVEL = {"consistent": "OK", "mismatch": "WARN"}  # else STALE: it has not been tested
@@ -27,27 +24,19 @@ _MODEL_LEVEL = {"consistent": "OK", "mismatch": "WARN"}  # else STALE: it has no
 
 @dataclass
 class DataState:
-    """How the data come.
+    """How the data come."""
 
-    Attributes
-    ----------
-    stopped : why there are no rows now, or None.
-    problems : sentences about missing channels and the like.
-    unsettled : symbols of parameters that have diverged only just now.
-    implausible : what contradicts the config (signs, units, channels), "" where nothing does.
-    refused : nothing is estimated for it.
-    overload : that the monitor cannot keep up, or None.
-    unsaved : why the last bag could not be written, or None.
-    values : numbers for the diagnostics: rates, counts, latencies, CPU share.
-    """
-
-    stopped: str | None = "no data yet"
+    stopped: str | None = "no data yet"  # why there are no rows now, or None
+    # sentences about missing channels and the like
     problems: list[str] = field(default_factory=list)
+    # symbols of parameters that have diverged only just now
     unsettled: set[str] = field(default_factory=set)
+    # what contradicts the config (signs, units, channels), "" where nothing does
     implausible: str = ""
-    refused: bool = False
-    overload: Overload | None = None
-    unsaved: str | None = None
+    refused: bool = False  # nothing is estimated for it
+    overload: Overload | None = None  # that the monitor cannot keep up, or None
+    unsaved: str | None = None  # why the last bag could not be written, or None
+    # numbers for the diagnostics: rates, counts, latencies, CPU share
     values: dict[str, float | int | str] = field(default_factory=dict)
 
 
@@ -74,7 +63,8 @@ def all_findings(settings: Settings, board: AlarmBoard,
         for degree in ("warn", "error"):
             limit = getattr(limits, f"{side}_{degree}")
             values[f"limit_{degree}"] = math.nan if limit is None else float(limit)
-        found.append(alarm_finding(alarm, values))
+        found.append(Finding(alarm.name, alarm.level, alarm.message, values | {
+            "since_s": float(alarm.time_s), "not_judged": int(alarm.not_judged)}))
     for stage, watched in STAGES.items():
         found.append(_stage(stage, parameters.get(watched.symbol), consistency.get(stage),
                             events.get(stage), data, model))
@@ -236,48 +226,7 @@ def _coming(inputs: Sequence[TopicInput], settings: Settings) -> set[str]:
             if each.waits or now - entry.source.heard_s <= settings.monitor.stale_after}
 
 
-def rates(inputs: Sequence[TopicInput], now: float) -> dict[str, float]:
-    """Return the messages per second of each topic since the last call.
-
-    Parameters
-    ----------
-    now : s, monotonic.
-    """
-    return {f"rate_{each.key}_Hz": each.rate(now) for each in inputs}
-
-
-def lost(aligner: RowAligner, watch: FaultWatch, missing_samples: int) -> dict[str, int]:
-    """Return how much was lost or dropped since the start."""
-    sources = aligner.sources
-    return {"lost_messages": watch.missing,
-            "missing_samples": missing_samples,
-            "incomplete_rows": aligner.incomplete,
-            "late_or_repeated_stamps": sum(s.late + s.repeated for s in sources),
-            "jumped_stamps": sum(s.jumped for s in sources)}
-
-
-def summary(rows: int, counts: Mapping[str, int], latency: LatencyMeter,
-            processor: ProcessorMeter) -> str:
-    """Return what was processed, lost and how late, in one line."""
-    lost_ = ", ".join(f"{key.replace('_', ' ')} {value}" for key, value in counts.items())
-    late = ", ".join(f"{key} {value:.2f} ms" for key, value in latency.percentiles().items())
-    return (f"rows {rows}; {lost_}; latency from {latency.counts_from} to "
-            f"published {late or 'not measured'}; "
-            f"CPU share {100 * processor.total():.1f} %")
-
-
 def with_bags(findings: Sequence[Finding], bags: Mapping[str, str]) -> list[Finding]:
-    """Return findings of which each alarm names the bag of the moment in which it was raised.
-
-    Parameters
-    ----------
-    bags : alarm -> bag; "" while the bag is due.
-    """
-    found = []
-    for finding in findings:
-        bag = bags.get(finding.name)
-        if bag is not None:
-            finding = replace(finding, values={
-                **finding.values, **({"bag": bag} if bag else {"bag_due": 1})})
-        found.append(finding)
-    return found
+    """Return findings of which each alarm names its bag: by alarm, "" while that is due."""
+    return [one if (bag := bags.get(one.name)) is None else replace(
+        one, values=one.values | ({"bag": bag} if bag else {"bag_due": 1})) for one in findings]

@@ -40,14 +40,8 @@ class _Channels:
 def serving_foxglove(nodes: list[tuple[Node, Settings]], port: int) -> Iterator[str]:
     """Serve inputs and outputs of the monitors for the time of a block; gives the address.
 
-    Parameters
-    ----------
-    nodes : of each actuator the node in its namespace, and its config.
-
-    Raises
-    ------
-    InputError
-        If the port is taken, or not allowed to this user.
+    ``nodes`` : of each actuator the node in its namespace, and its config.  Raises InputError if
+    the port is taken, or not allowed to this user.
     """
     foxglove.set_log_level("WARN")
     try:

@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
@@ -18,10 +17,10 @@ from eha_monitor.recordings.read import read_recording
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.recordings.write import BagWriter
 from eha_monitor.ros import running
-from eha_monitor.ros.messages import stamp
+from eha_monitor.ros.messages import joint_state
 from eha_monitor.ros.parameters import with_namespace
 from eha_monitor.ros.subscriptions import TopicInput
-from eha_monitor.ros.topics import OUTPUT_QOS, topics_of
+from eha_monitor.ros.topics import OUTPUT_QOS, every, topics_of
 from eha_monitor.settings.monitor import Experiment as Bounds
 from eha_monitor.settings.monitor import Settings
 
@@ -35,22 +34,16 @@ COMMAND = "command"
 
 @dataclass
 class Job:
-    """A motion that is run.
+    """A motion that is run."""
 
-    Attributes
-    ----------
-    x_d : (n,) m; ``start_ns`` stamp of the first, ``sent`` how many are.
-    end_ns : stamp up to which what comes is recorded.
-    kept : topic and type -> (received ns, message).
-    aborted, asked : why it ends early, and whether somebody asked for it.
-    """
-
-    x_d: np.ndarray
+    x_d: np.ndarray  # (n,) m; ``start_ns`` stamp of the first, ``sent`` how many are
     start_ns: int
-    end_ns: int
+    end_ns: int  # stamp up to which what comes is recorded
     watch: Watch
     sent: int = 0
+    # topic and type -> (received ns, message)
     kept: dict[tuple[str, str], list[tuple[int, bytes]]] = field(default_factory=dict)
+    # aborted, asked: why it ends early, and whether somebody asked for it
     aborted: str = ""
     asked: bool = False
     done: threading.Event = field(default_factory=threading.Event)
@@ -82,20 +75,13 @@ class RosRig:
         self._heard: dict[str, float] = {}
         self._told, self._stop = 0.0, ""
         self.started, self.seen = threading.Event(), threading.Event()
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        node.create_timer(TURN, self._turn, clock=steady)
-        node.create_timer(GRAPH, self._look, clock=steady)
+        every(node, TURN, self._turn)
+        every(node, GRAPH, self._look)
         node.create_service(Trigger, "identify/start", self._on_start)
         node.create_service(Trigger, "identify/stop", self._on_stop)
 
     def position(self) -> float:
-        """Return where the piston is held, m.
-
-        Raises
-        ------
-        InputError
-            If no position comes.
-        """
+        """Return where the piston is held, m; raises InputError if no position comes."""
         if not self.seen.wait(PATIENCE):
             channel = self._settings.channels["x"]
             raise InputError(f"{self._node.resolve_topic_name(channel.topic)}: no position came "
@@ -103,13 +89,7 @@ class RosRig:
         return float(self._demanded if np.isfinite(self._demanded) else self._measured)
 
     def ready(self) -> None:
-        """Wait until somebody follows the command.
-
-        Raises
-        ------
-        InputError
-            If nobody does, or somebody else commands.
-        """
+        """Wait until somebody follows the command; InputError if none does or another commands."""
         topic, own = self._node.resolve_topic_name(COMMAND), self._node.get_name()
         end = time.monotonic() + PATIENCE
         while not any(info.node_name != own
@@ -126,10 +106,12 @@ class RosRig:
 
     def run(self, x_d: np.ndarray, name: str) -> Ran:
         """Run a demand; see :meth:`Rig.run`."""
+        noise = self._settings.noise
         now = self._node.get_clock().now().nanoseconds
         job = Job(x_d, now + self._lead_ns, now + self._lead_ns + len(x_d) * self._dt_ns
                   + round(TAIL * 1e9),
-                  Watch(self._bounds, self._settings.rig.sample_time, self._noise()))
+                  Watch(self._bounds, self._settings.rig.sample_time,
+                        max(noise.position, noise.position_resolution)))
         self._heard = dict.fromkeys(self._heard, time.monotonic())
         self._job = job
         while not job.done.wait(1.0):
@@ -139,8 +121,7 @@ class RosRig:
             return Ran(Recording(self._settings.rig.sample_time, {}, source=name), job.aborted,
                        job.asked)
         self._folder.mkdir(parents=True, exist_ok=True)
-        with BagWriter(bag, dict(job.kept.keys()),
-                       overwrite=self._overwrite) as writer:
+        with BagWriter(bag, dict(job.kept.keys()), overwrite=self._overwrite) as writer:
             for received, topic, data in sorted(
                     (received, topic, data) for (topic, _), messages in job.kept.items()
                     for received, data in messages):
@@ -166,20 +147,14 @@ class RosRig:
         job.end_ns = now + round(HELD * 1e9)
         return True
 
-    def _noise(self) -> float:
-        noise = self._settings.noise
-        return max(noise.position, noise.position_resolution)
-
     def _hold(self, position: float, now: int) -> None:
         """Command a position from now on; commands that were sent for later are no more."""
         self._demanded, self._told = position, time.monotonic()
         self._send(position, now)
 
     def _send(self, position: float, stamp_ns: int) -> None:
-        message = JointState(name=[self._name], position=[position])
-        message.header.stamp = stamp(stamp_ns)
-        message.header.frame_id = self._settings.frame_id
-        self._publisher.publish(message)
+        self._publisher.publish(joint_state(stamp_ns, self._name, position, np.nan,
+                                            self._settings.frame_id))
 
     def _turn(self) -> None:
         """Look at what came, send what is due."""
@@ -214,8 +189,8 @@ class RosRig:
             if job is not None:
                 job.kept.setdefault((each.topic.full_name, each.type), []).extend(
                     zip(received, messages, strict=True))
-            for batch in each.read(messages, np.full(len(messages), now),
-                                   np.full(len(messages), clock_ns)):
+            for batch in each.reader.read(messages, np.full(len(messages), now),
+                                          np.full(len(messages), clock_ns)):
                 shown = {name: values for name, values in zip(
                     batch.source.channels, batch.values.T, strict=True)
                     if name in CHANNELS and np.isfinite(values).any()}
@@ -252,16 +227,13 @@ def run_identify(settings: Settings, bounds: Bounds, ros_args: list[str], wait: 
                  folder: tuple[Path, bool], experiment: Callable[[Rig], str]) -> str:
     """Run an experiment over ROS; returns why it was aborted, or "".
 
+    Raises InputError if the rig does not answer, or the experiment raises it.
+
     Parameters
     ----------
     wait : for the service ``identify/start``.
     folder : of the bags, and whether to replace those that are there.
     experiment : runs on the rig, in a thread of its own.
-
-    Raises
-    ------
-    InputError
-        If the rig does not answer, or the experiment raises it.
     """
     settings = with_namespace(settings, ros_args, "identify")
     result: list[str] = []

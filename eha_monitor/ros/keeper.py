@@ -4,13 +4,13 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from std_srvs.srv import Trigger
 
 from eha_monitor.health.alarms import Alarm
 from eha_monitor.recordings.ring import Ring, Saved, Saver
 from eha_monitor.recordings.write import TopicType
+from eha_monitor.ros.topics import every
 from eha_monitor.settings import Settings
 
 POLL_PERIOD = 0.1
@@ -22,17 +22,7 @@ _RANK = {"OK": 0, "WARN": 1, "ERROR": 2}  # what is not judged is neither better
 class Keeper:
     """Ring buffer, its saver, and the service ``monitor/save``.
 
-    Parameters
-    ----------
-    node : node in the namespace of the topics.
-    settings : validated config; ``monitor.buffer_minutes`` = 0 keeps nothing.
-    tell : called when there is news of a bag.
-
-    Attributes
-    ----------
-    last : what came of the last attempt, or None.
-    bags : by name of an alarm, the bag of the moment in which it was raised last; "" while that
-        bag is due.
+    ``monitor.buffer_minutes`` = 0 keeps nothing; ``tell`` is called when there is news of a bag.
     """
 
     def __init__(self, node: Node, settings: Settings, tell: Callable[[], None]):
@@ -48,18 +38,19 @@ class Keeper:
         self._asked = False
         self._part: tuple[int, Callable[[Saved], None]] | None = None  # to be written
         self._part_told: Callable[[Saved], None] | None = None  # that is being written
+        # by name of an alarm, the bag of the moment in which it was raised last; "" while that bag
+        # is due
         self.bags: dict[str, str] = {}
         self._written: list[str] = []  # alarms of which the bag is being written
-        self.last: Saved | None = None
+        self.last: Saved | None = None  # what came of the last attempt, or None
         self._last_good: Saved | None = None
         self._service = LateTrigger(node, "monitor/save", self._on_request)
-        self._timer = node.create_timer(POLL_PERIOD, self.poll,
-                                        clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self._timer = every(node, POLL_PERIOD, self.poll)
 
     def stream(self, topic: str, type_name: str, latched: bool = False) -> int:
         """Return the number under which a topic's messages are kept."""
         return self.ring.stream(self._node.resolve_topic_name(topic),
-                                TopicType(type_name, latched)) if self.ring is not None else 0
+                                TopicType(type_name, latched))
 
     def note(self, changes: list[Alarm]) -> None:
         """Save the last minutes if one of these alarms has been raised far enough.
@@ -168,11 +159,8 @@ class LateTrigger:
     The events executor knows no coroutines: it hands whatever the callback returns to the
     service's ``send_response``, so the header is kept there until the answer is known.
 
-    Parameters
-    ----------
-    node : node to offer it on.
-    name : of the service.
-    begin : called for each request; returns a message if it is refused at once, else None.
+    ``begin`` is called for each request; it returns a message if that is refused at once, else
+    None.
     """
 
     def __init__(self, node: Node, name: str, begin: Callable[[], str | None]):

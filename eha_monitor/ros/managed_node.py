@@ -4,7 +4,7 @@ import gc
 import sys
 from collections.abc import Callable
 from contextlib import ExitStack
-from functools import partial
+from functools import partial, wraps
 from pathlib import Path
 
 import numpy as np
@@ -12,47 +12,55 @@ from lifecycle_msgs.srv import ChangeState
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 
 from eha_monitor.errors import InputError
+from eha_monitor.live.checks import Turns
+from eha_monitor.live.estimator import LiveEstimator
+from eha_monitor.live.ingest import BATCH
+from eha_monitor.physics.simulator import Simulator
 from eha_monitor.ros import running
 from eha_monitor.ros.monitor_node import Monitor
 from eha_monitor.ros.parameters import MONITOR_KEYS, declare, settings_of_node
-from eha_monitor.ros.without_events import WithoutEvents
 from eha_monitor.settings import Settings
 
-# Past the first second, when stage two is run and the model is tested.
-WARM_UP_ROWS = 3000
+WARM_UP_ROWS = 3000  # past the first second, when stage two is run and the model is tested
 # How long one thread of Python runs while another waits: a bag is written beside the filter.
 SWITCH_S = 0.0005
 
 
-class ManagedMonitor(WithoutEvents, LifecycleNode):
+def _transition(work: Callable) -> Callable:
+    """Make a transition that says why its work failed: rclpy itself would be silent."""
+    @wraps(work)
+    def done(self: "ManagedMonitor", state: LifecycleState) -> TransitionCallbackReturn:
+        self.failure = None
+        try:
+            work(self)
+        except InputError as problem:
+            self.failure = problem
+            self.get_logger().error(str(problem))
+            return TransitionCallbackReturn.FAILURE
+        except Exception as problem:  # noqa: BLE001  told, and rclpy makes it an error
+            self.failure = problem
+            self.get_logger().error(f"defect: {problem!r}")
+            return TransitionCallbackReturn.ERROR
+        return TransitionCallbackReturn.SUCCESS
+    return done
+
+
+class ManagedMonitor(running.WithoutEvents, LifecycleNode):
     """A monitor in the states of a managed node.
 
     Unconfigured there is nothing but the parameters.  Configured, so inactive, there are
     publishers and services, but no data are taken and nothing is published.  Active it works.
     Each activation begins with estimators that know nothing; thresholds stay as they were set.
     Shutting down ends it for good.
-
-    Parameters
-    ----------
-    settings : validated config.
-    source : name of the config in errors.
-    name : of the node.
-    estimator_factory : see :class:`Monitor`.
-
-    Attributes
-    ----------
-    monitor : while configured, else None.
-    failure : what the last transition failed of, or None.
-    ended : whether it has been shut down.
     """
 
     def __init__(self, settings: Settings, source: str = "config", name: str = "monitor",
-                 estimator_factory: Callable[[Settings], object] | None = None):
+                 estimator_factory: Callable[[Settings], object] = LiveEstimator):
         super().__init__(name, namespace=settings.monitor.namespace,
                          automatically_declare_parameters_from_overrides=True)
-        self.monitor: Monitor | None = None
-        self.failure: Exception | None = None
-        self.ended = False
+        self.monitor: Monitor | None = None  # while configured, else None
+        self.failure: Exception | None = None  # what the last transition failed of, or None
+        self.ended = False  # whether it has been shut down
         self._source, self._factory = source, estimator_factory
         self._summary = "was not active"
         self.settings = settings_of_node(self, settings)
@@ -62,43 +70,41 @@ class ManagedMonitor(WithoutEvents, LifecycleNode):
                 service.callback = self._guarded(service.callback)
 
     def start(self, active: bool = True) -> None:
-        """Configure, and activate unless it is to wait for that.
-
-        Raises
-        ------
-        InputError
-            If it cannot work as it is configured.
-        """
+        """Configure, and activate unless it is to wait; raises InputError if it cannot work so."""
         self.trigger_configure()
         if active and self.monitor is not None:
             self.trigger_activate()
         if self.failure is not None:
             raise self.failure
 
-    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
+    @_transition
+    def on_configure(self) -> None:
         """Make estimator, publishers and services."""
-        return self._do(self._configure)
+        self.monitor = Monitor(self, self.settings, self._factory, self._source, active=False)
 
-    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+    @_transition
+    def on_activate(self) -> None:
         """Take data and publish."""
-        return self._do(lambda: self.monitor.activate())
+        self.monitor.activate()
 
-    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
+    @_transition
+    def on_deactivate(self) -> None:
         """Say that the health is unknown from now on, and stop."""
-        return self._do(self._deactivate)
+        self._summarise(self.monitor)
+        self.monitor.deactivate()
 
-    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Give up what was made, the minutes in the buffer included."""
-        return self._do(self.close)
+    @_transition
+    def on_cleanup(self) -> None:
+        """Give up what was made, the minutes in the buffer included; so too after a defect."""
+        self.close()
 
-    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
+    on_error = on_cleanup
+
+    @_transition
+    def on_shutdown(self) -> None:
         """End for good."""
         self.ended = True
-        return self._do(self.close)
-
-    def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """After a defect: back to unconfigured."""
-        return self._do(self.close)
+        self.close()
 
     def close(self) -> None:
         """End the monitor, if there is one; a bag that is due is written first."""
@@ -119,13 +125,6 @@ class ManagedMonitor(WithoutEvents, LifecycleNode):
             self._summarise(self.monitor)
         return self._summary
 
-    def _configure(self) -> None:
-        self.monitor = Monitor(self, self.settings, self._factory, self._source, active=False)
-
-    def _deactivate(self) -> None:
-        self._summarise(self.monitor)
-        self.monitor.deactivate()
-
     def _summarise(self, monitor: Monitor) -> None:
         if monitor.active:
             self._summary = monitor.summary()
@@ -134,21 +133,6 @@ class ManagedMonitor(WithoutEvents, LifecycleNode):
         self.settings = settings
         if self.monitor is not None:
             self.monitor.reconfigure(settings)
-
-    def _do(self, work: Callable[[], None]) -> TransitionCallbackReturn:
-        """Do the work of a transition and say why it failed: rclpy itself would be silent."""
-        self.failure = None
-        try:
-            work()
-        except InputError as problem:
-            self.failure = problem
-            self.get_logger().error(str(problem))
-            return TransitionCallbackReturn.FAILURE
-        except Exception as problem:  # noqa: BLE001  told, and rclpy makes it an error
-            self.failure = problem
-            self.get_logger().error(f"defect: {problem!r}")
-            return TransitionCallbackReturn.ERROR
-        return TransitionCallbackReturn.SUCCESS
 
     def _guarded(self, change_state: Callable) -> Callable:
         """Refuse a transition that the state does not have; rclpy would end the process."""
@@ -168,10 +152,6 @@ def warm_up() -> None:
 
     Otherwise the first hand-over stops the node for a second while messages come.
     """
-    from eha_monitor.live.estimator import LiveEstimator
-    from eha_monitor.live.ingest import BATCH
-    from eha_monitor.physics.simulator import Simulator
-
     settings = Settings()
     estimator, simulator = LiveEstimator(settings), Simulator(settings)
     for start in range(0, WARM_UP_ROWS, BATCH):
@@ -186,16 +166,13 @@ def run_monitor(config: Path | None, ros_args: list[str], duration: float | None
                 machine: Path | None = None) -> int:
     """Run the monitor until a signal or for ``duration`` s; returns the exit status.
 
+    Raises InputError if a config, a parameter or a ROS argument is wrong.
+
     Parameters
     ----------
     actuators : ``NAME=CONFIG`` for each of several actuators; else ``config`` is the only one.
     inactive : whether to wait for the transition ``activate``.
     machine : file of the healthy machine; None leaves it to the config.
-
-    Raises
-    ------
-    InputError
-        If a config, a parameter or a ROS argument is wrong.
     """
     wanted = running.actuators(config, actuators, ros_args, "monitor")
     if machine is not None:
@@ -206,9 +183,6 @@ def run_monitor(config: Path | None, ros_args: list[str], duration: float | None
             update={"machine": str(machine)})}), source) for settings, source in wanted]
     if not actuators:
         running.refuse_another_rig(wanted[0][0])
-    from eha_monitor.live.checks import Turns
-    from eha_monitor.live.estimator import LiveEstimator
-
     factory = partial(LiveEstimator, turns=Turns())
     with running.ros_session(ros_args), ExitStack() as stack:
         nodes = [stack.enter_context(running.made("monitor", ManagedMonitor, *which,

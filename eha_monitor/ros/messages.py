@@ -19,10 +19,10 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
 
 from eha_monitor.estimation.results import ModelStatus, ParameterEstimate
-from eha_monitor.health.alarms import WATCHED, Alarm
+from eha_monitor.health.alarms import WATCHED
 from eha_monitor.health.judge import Finding
 from eha_monitor.ros.keeper import Keeper
-from eha_monitor.ros.topics import LATCHED, QUEUED, clashes
+from eha_monitor.ros.topics import LATCHED, QUEUED
 from eha_monitor.settings import Settings
 
 ESTIMATES = "monitor/estimates"  # each with its deviation, unit and status, in one stamped message
@@ -30,8 +30,7 @@ DIAGNOSIS = "monitor/diagnosis"
 LEVELS = {"OK": DiagnosticStatus.OK, "WARN": DiagnosticStatus.WARN,
           "ERROR": DiagnosticStatus.ERROR, "STALE": DiagnosticStatus.STALE}
 # How serious it is that a parameter has a status.
-ESTIMATE_LEVELS = {"converged": "OK", "not_excited": "OK", "diverged": "ERROR",
-                   "no_data": "STALE"}
+ESTIMATE_LEVELS = {"converged": "OK", "not_excited": "OK", "diverged": "ERROR", "no_data": "STALE"}
 DOUBLE = struct.Struct("<xBxxd")  # a Float64 as it is sent, behind the encapsulation
 _SECTIONS = {watched.symbol: watched.section for watched in WATCHED}
 _LEVEL_NAMES = {level: name for name, level in LEVELS.items()}
@@ -41,11 +40,6 @@ def stamp(time_ns: int) -> Time:
     """Return a stamp; ``time_ns`` since the epoch, in the range that the type holds."""
     seconds, nanoseconds = divmod(int(time_ns), 1_000_000_000)
     return Time(sec=min(max(seconds, -2**31), 2**31 - 1), nanosec=nanoseconds)
-
-
-def number(value: float) -> Float64:
-    """Return a number as a message."""
-    return Float64(data=float(value))
 
 
 def joint_state(time_ns: int, name: str, position: float, velocity: float,
@@ -65,9 +59,7 @@ def estimates(time_ns: int, frame: str, found: Iterable[ParameterEstimate], mode
     The numbers are text from which the very float is read again; an estimate without data has
     none.
 
-    Parameters
-    ----------
-    model : says where each comes from, and whether it is in doubt.
+    ``model`` : says where each comes from, and whether it is in doubt.
     """
     statuses = []
     for estimate in found:
@@ -83,6 +75,10 @@ def estimates(time_ns: int, frame: str, found: Iterable[ParameterEstimate], mode
             level=LEVELS[level], name=f"{hardware}: {_SECTIONS[estimate.name]}",
             message=message, hardware_id=hardware,
             values=[KeyValue(key=key, value=value) for key, value in values.items()]))
+    return _array(time_ns, frame, statuses)
+
+
+def _array(time_ns: int, frame: str, statuses: list[DiagnosticStatus]) -> DiagnosticArray:
     message = DiagnosticArray(status=statuses)
     message.header.stamp, message.header.frame_id = stamp(time_ns), frame
     return message
@@ -101,20 +97,14 @@ def plain(value: float | int | str) -> str:
     return str(value) if isinstance(value, int) else f"{float(value):.6g}"
 
 
-def status(finding: Finding, hardware: str) -> DiagnosticStatus:
-    """Return one status; name and hardware_id stay the same, dashboards match on them."""
-    return DiagnosticStatus(
-        level=LEVELS[finding.level], name=f"{hardware}: {finding.name}",
-        message=finding.message, hardware_id=hardware,
-        values=[KeyValue(key=key, value=plain(value)) for key, value in finding.values.items()])
-
-
 def diagnostics(time_ns: int, findings: list[Finding], hardware: str, frame: str = ""
                 ) -> DiagnosticArray:
-    """Return all findings as one message."""
-    message = DiagnosticArray(status=[status(finding, hardware) for finding in findings])
-    message.header.stamp, message.header.frame_id = stamp(time_ns), frame
-    return message
+    """Return findings as one message; dashboards match on names and hardware_id, which stay."""
+    return _array(time_ns, frame, [DiagnosticStatus(
+        level=LEVELS[one.level], name=f"{hardware}: {one.name}", message=one.message,
+        hardware_id=hardware, values=[KeyValue(key=key, value=plain(value))
+                                      for key, value in one.values.items()])
+        for one in findings])
 
 
 def findings_of(message: DiagnosticArray) -> list[Finding]:
@@ -132,10 +122,7 @@ def subscribe_to_monitor(node: Node, take_number: Callable[[str, str, float], No
                          take_health: Callable[[DiagnosticArray], None]) -> None:
     """Subscribe to what a monitor publishes in a node's namespace.
 
-    Parameters
-    ----------
-    take_number : called with symbol, ``""`` or ``"_stddev"``, and the number.
-    take_state, take_health : called with the messages.
+    ``take_number`` : called with symbol, ``""`` or ``"_stddev"``, and the number.
     """
     for watched in WATCHED:
         for suffix in ("", "_stddev"):
@@ -147,28 +134,14 @@ def subscribe_to_monitor(node: Node, take_number: Callable[[str, str, float], No
     node.create_subscription(DiagnosticArray, "monitor/health", take_health, LATCHED)
 
 
-def alarm_finding(alarm: Alarm, values: dict[str, float]) -> Finding:
-    """Return an alarm as a finding, with the numbers that it was judged on."""
-    return Finding(alarm.name, alarm.level, alarm.message,
-                   {**values, "since_s": float(alarm.time_s),
-                    "not_judged": int(alarm.not_judged)})
-
-
 class Outputs:
-    """The monitor's publishers.
-
-    Parameters
-    ----------
-    node : node in the namespace of the topics.
-    keeper : keeps what is published.
-    settings : validated config; names frame and hardware.
-    """
+    """The monitor's publishers; ``settings`` name frame and hardware."""
 
     def __init__(self, node: Node, keeper: Keeper, settings: Settings):
         self._node, self._keeper = node, keeper
         self._frame, self._hardware = settings.frame_id, settings.rig.name
         self._publishers: list[Publisher] = []
-        self._topics: list[str] = []
+        self.topics: list[str] = []
         self._numbers = {}
         for watched in WATCHED:
             topic = f"monitor/{watched.section}"
@@ -189,15 +162,14 @@ class Outputs:
             if estimate.status != "no_data":
                 for output, value in zip(self._numbers[symbol],
                                          (estimate.value, estimate.stddev), strict=True):
-                    self._publish(output, number(value))
+                    self._publish(output, Float64(data=float(value)))
         self._publish(self._estimates, estimates(
             time_ns, self._frame, [found[symbol] for symbol in self._numbers if symbol in found],
             model, self._hardware))
 
     def state(self, time_ns: int, name: str, position: float, velocity: float) -> None:
         """Publish the estimated motion, m and m/s, at a stamp in ns."""
-        self._publish(self._state, joint_state(
-            time_ns, name, position, velocity, self._frame))
+        self._publish(self._state, joint_state(time_ns, name, position, velocity, self._frame))
 
     def health(self, findings: list[Finding]) -> None:
         """Publish the health, latched, and as diagnostics."""
@@ -211,10 +183,6 @@ class Outputs:
         self._publish(self._diagnosis, diagnostics(
             self._node.get_clock().now().nanoseconds, findings, self._hardware, self._frame))
 
-    def clashes(self) -> list[str]:
-        """Return in sentences which subscribers get nothing, as they ask for another QoS."""
-        return [clash for topic in self._topics for clash in clashes(self._node, topic)]
-
     def close(self) -> None:
         """End the publishers."""
         for publisher in self._publishers:
@@ -223,7 +191,7 @@ class Outputs:
     def _make(self, kind: type, topic: str, qos: QoSProfile = QUEUED,
               kept: bool = True) -> tuple[Publisher, int | None]:
         publisher = self._node.create_publisher(kind, topic, qos)
-        self._topics.append(topic)
+        self.topics.append(topic)
         self._publishers.append(publisher)
         if not kept or self._keeper.ring is None:
             return publisher, None

@@ -7,7 +7,6 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.timer import Timer
 from std_srvs.srv import Trigger
@@ -17,23 +16,15 @@ from eha_monitor.estimation.results import Event, ModelStatus, ParameterEstimate
 from eha_monitor.health.alarms import Alarm, AlarmBoard
 from eha_monitor.health.overload import BEHIND_S, LatencyMeter, ProcessorMeter
 from eha_monitor.live.diagnosing import Candidate
+from eha_monitor.live.estimator import LiveEstimator
 from eha_monitor.live.faults import CONSEQUENCES, FaultWatch
 from eha_monitor.live.rows import RowAligner, Rows
 from eha_monitor.ros.diagnosis import SelfDiagnosis
-from eha_monitor.ros.findings import (
-    DataState,
-    all_findings,
-    levels,
-    lost,
-    rates,
-    summary,
-    unfed,
-    with_bags,
-)
+from eha_monitor.ros.findings import DataState, all_findings, levels, unfed, with_bags
 from eha_monitor.ros.keeper import Keeper
 from eha_monitor.ros.messages import Outputs
 from eha_monitor.ros.subscriptions import DEMANDED, OPTIONAL, Drain, Load, TopicInput
-from eha_monitor.ros.topics import topics_of
+from eha_monitor.ros.topics import clashes, every, topics_of
 from eha_monitor.settings import Settings
 
 # Health is judged at this spacing of the data's own time, so that a replay at ten times the
@@ -51,22 +42,11 @@ CLASHES_PERIOD = 1.5  # to ask the graph for all ends of all topics costs 1.6 ms
 
 
 class Monitor:
-    """Estimator, alarms and their topics on a node.
-
-    Parameters
-    ----------
-    node : node in the namespace of the topics.
-    settings : validated config.
-    estimator_factory : makes the estimator from the settings.
-    source : name of the config in errors.
-    active : whether to begin at once; else :meth:`activate` begins.
-    """
+    """Estimator, alarms and topics on a node; unless ``active``, :meth:`activate` begins."""
 
     def __init__(self, node: Node, settings: Settings,
-                 estimator_factory: Callable[[Settings], object] | None = None,
+                 estimator_factory: Callable[[Settings], object] = LiveEstimator,
                  source: str = "config", active: bool = True):
-        if estimator_factory is None:
-            from eha_monitor.live.estimator import LiveEstimator as estimator_factory
         self.node, self.settings = node, settings
         self._factory = estimator_factory
         self.board = AlarmBoard(settings)
@@ -125,13 +105,12 @@ class Monitor:
         self._note_stop(time.monotonic())
         self.inputs = [TopicInput(self.node, topic) for topic in self._topics]
         self.drain = Drain(self.node, self.inputs, self.aligner, self.keeper)
-        wall = Clock(clock_type=ClockType.STEADY_TIME)  # health must not stop with /clock
         self.load = Load(((1.0 / self.settings.monitor.publish_rate, self._publish_estimates),
                           (WATCH_PERIOD, self._watch),
                           (CLASHES_PERIOD, self._note_clashes),
                           (DIAGNOSTICS_PERIOD, self._every_second)),
                          self.settings.monitor.stale_after)
-        self._timers = [self.node.create_timer(self.load.period, self._work, clock=wall)]
+        self._timers = [every(self.node, self.load.period, self._work)]
         self._publish_health()
 
     def deactivate(self) -> None:
@@ -235,8 +214,7 @@ class Monitor:
                 self._tick(time.monotonic())  # much has come at once
 
     def _give(self, rows: Rows) -> None:
-        steps = np.diff(rows.stamps, prepend=self._row_ns) * (
-            1e-9 / self.settings.rig.sample_time)
+        steps = np.diff(rows.stamps, prepend=self._row_ns) * (1e-9 / self.settings.rig.sample_time)
         # A long gap is an interruption, or a clock that was set: it is told as such, and nothing
         # is lost within it.
         longest = self.settings.monitor.stale_after / self.settings.rig.sample_time
@@ -312,7 +290,7 @@ class Monitor:
 
     def _note_diverged(self, parameters: dict[str, ParameterEstimate]) -> None:
         """Note since when a parameter has been diverged on data without a fault."""
-        faulty = self.watch.frozen or bool(self.watch.sentences(time.monotonic()))
+        faulty = bool(self.watch.stillness.frozen) or bool(self.watch.sentences(time.monotonic()))
         now = {symbol for symbol, estimate in parameters.items() if estimate.status == "diverged"}
         self._diverged = {symbol: self._row_ns if faulty else min(
             self._diverged.get(symbol, self._row_ns), self._row_ns) for symbol in now}
@@ -344,7 +322,7 @@ class Monitor:
     def _look(self, now: float) -> None:
         """Look for faults of the data, and take back what a frozen channel gave."""
         self.load.look(self.drain.look(), self.aligner.rows, self.missing_samples)
-        self.data.overload = overload = self.load.found()
+        self.data.overload = overload = self.load.watch.found(time.monotonic())
         for channel, since_ns in self.watch.look(now).items():
             if self._origin_ns is not None:
                 since_s = (since_ns - self._origin_ns) * 1e-9
@@ -401,8 +379,8 @@ class Monitor:
         return (self._origin_ns or 0) + round(state_time_s * 1e9)
 
     def _note_clashes(self) -> None:
-        self._clashes = [clash for each in (*self.inputs, self._outputs)
-                         for clash in each.clashes()]
+        names = (*(topic.name for topic in self._topics), *self._outputs.topics)
+        self._clashes = [clash for name in names for clash in clashes(self.node, name)]
 
     def _every_second(self) -> None:
         for topic_input in self.inputs:
@@ -413,7 +391,8 @@ class Monitor:
 
     def _update_data(self) -> None:
         now = time.monotonic()
-        values = {"rows": self.aligner.rows} | rates(self.inputs, now)
+        values = {"rows": self.aligner.rows} | {
+            f"rate_{each.key}_Hz": each.rate(now) for each in self.inputs}
         if self._origin_ns is not None:
             values["first_stamp_ns"] = str(self._origin_ns)
         if {"p1", "p2"} & set(self.settings.channels):
@@ -437,7 +416,12 @@ class Monitor:
 
     def counts(self) -> dict[str, int]:
         """Return how much was lost or dropped since the start."""
-        return lost(self.aligner, self.watch, self.missing_samples)
+        sources = self.aligner.sources
+        return {"lost_messages": self.watch.missing,
+                "missing_samples": self.missing_samples,
+                "incomplete_rows": self.aligner.incomplete,
+                "late_or_repeated_stamps": sum(s.late + s.repeated for s in sources),
+                "jumped_stamps": sum(s.jumped for s in sources)}
 
     def _publish_health(self, only_changes: bool = False) -> None:
         snapshot = self._snapshot
@@ -454,4 +438,10 @@ class Monitor:
 
     def summary(self) -> str:
         """Return what was processed, lost and how late, in one line."""
-        return summary(self.aligner.rows, self.counts(), self.latency, self.processor)
+        lost = ", ".join(f"{key.replace('_', ' ')} {value}"
+                         for key, value in self.counts().items())
+        late = ", ".join(f"{key} {value:.2f} ms"
+                         for key, value in self.latency.percentiles().items())
+        return (f"rows {self.aligner.rows}; {lost}; latency from {self.latency.counts_from} to "
+                f"published {late or 'not measured'}; "
+                f"CPU share {100 * self.processor.total():.1f} %")

@@ -57,28 +57,19 @@ UNSET, _UNSET_WORDS = math.nan, ("nan", ".nan", "null", "none", "~", "")
 
 @dataclass(frozen=True)
 class Declared:
-    """One scalar key of the config as a ROS parameter.
+    """One scalar key of the config as a ROS parameter."""
 
-    Attributes
-    ----------
-    name : dotted, e.g. ``thresholds.viscous_damping.high_warn``.
-    value : number, text or bool; None where the config says null.
-    description, unit : from the declaration.
-    lower, upper : range of a number, None where there is none.
-    read_only : whether it is fixed once the node runs.
-    number : whether it is one, or may be.
-    optional : whether it may be null.
-    """
-
-    name: str
-    value: Any
+    name: str  # dotted, e.g. ``thresholds.viscous_damping.high_warn``
+    value: Any  # number, text or bool; None where the config says null
+    # description, unit: from the declaration
     description: str
     unit: str
+    # lower, upper: range of a number, None where there is none
     lower: float | None
     upper: float | None
-    read_only: bool
-    number: bool = False
-    optional: bool = False
+    read_only: bool  # whether it is fixed once the node runs
+    number: bool = False  # whether it is one, or may be
+    optional: bool = False  # whether it may be null
 
     @property
     def shown(self) -> Any:
@@ -167,16 +158,10 @@ def overridden(settings: Settings, changes: dict[str, Any], source: str,
                as_config: bool = False) -> Settings:
     """Return the settings with dotted keys changed; NaN stands for null.
 
-    Parameters
-    ----------
-    as_config : whether the changes count as what the config itself says: beside a limit that is
-        given, a default one that is out of order with it goes, and the numbers of the rig that
-        nobody has given stay known as such.
-
-    Raises
-    ------
-    InputError
-        One line that names the key and what was expected.
+    ``as_config`` : whether the changes count as what the config itself says: beside a limit that
+    is given, a default one that is out of order with it goes, and the numbers of the rig that
+    nobody has given stay known as such.  Raises InputError, one line that names the key and what
+    was expected.
     """
     tree = settings.model_dump(exclude_unset=as_config)
     tree["simulation"] = settings.simulation.model_dump()
@@ -232,13 +217,9 @@ def number_of(value: Any, unit: str) -> Any:
 def settings_of_node(node: Node, settings: Settings) -> Settings:
     """Return the settings with what ``-p`` and ``--params-file`` say on top.
 
-    The node must have been made with ``automatically_declare_parameters_from_overrides``: only
-    so does a misspelt key show.
-
-    Raises
-    ------
-    InputError
-        One line that names the parameter and what was expected.
+    The node must have been made with ``automatically_declare_parameters_from_overrides``: only so
+    does a misspelt key show.  Raises InputError, one line that names the parameter and what was
+    expected.
     """
     given = {name: parameter.value
              for name, parameter in node.get_parameters_by_prefix("").items()
@@ -256,12 +237,7 @@ def declare(node: Node, settings: Settings, keys: tuple[str, ...],
             on_change: Callable[[Settings], None] | None = None) -> None:
     """Declare the table on a node; thresholds may change at run time, validated as a config.
 
-    Parameters
-    ----------
-    node : from :func:`settings_of_node`.
-    settings : values to show.
-    keys : sections to declare.
-    on_change : called with the new settings after a change of the thresholds.
+    The node is from :func:`settings_of_node`; ``on_change`` is called with the new settings.
     """
     table = parameter_table(settings, keys)
     for entry in table:
@@ -275,22 +251,23 @@ def declare(node: Node, settings: Settings, keys: tuple[str, ...],
         return [p if p.name not in units else
                 Parameter(p.name, value=number_of(p.value, units[p.name])) for p in parameters]
 
-    def validate(parameters: list[Parameter]) -> SetParametersResult:
+    def changed(parameters: list[Parameter]) -> Settings | None:
+        """Return the settings with what changes, None where nothing of the config does."""
         changes = {p.name: p.value for p in parameters if not p.name.startswith(ROS_OWN)}
-        if not changes:
-            return SetParametersResult(successful=True)
+        return overridden(current[0], changes, "parameter") if changes else None
+
+    def validate(parameters: list[Parameter]) -> SetParametersResult:
         try:
-            overridden(current[0], changes, "parameter")
+            changed(parameters)
         except InputError as problem:
             return SetParametersResult(successful=False, reason=str(problem))
         return SetParametersResult(successful=True)
 
     def apply(parameters: list[Parameter]) -> None:
-        changes = {p.name: p.value for p in parameters if not p.name.startswith(ROS_OWN)}
-        if changes:
-            current[0] = overridden(current[0], changes, "parameter")
+        if (settings := changed(parameters)) is not None:
+            current[0] = settings
             if on_change is not None:
-                on_change(current[0])
+                on_change(settings)
 
     # Before rclpy compares the types: ``ros2 param set`` makes an integer of 5 and a text of 9e8.
     node.add_pre_set_parameters_callback(convert)
@@ -302,10 +279,7 @@ def declare(node: Node, settings: Settings, keys: tuple[str, ...],
 def for_rcl(arguments: list[str]) -> Iterator[list[str]]:
     """Give ROS arguments with parameter files that rcl reads; they are there within the block.
 
-    Raises
-    ------
-    InputError
-        If a file cannot be read, or is neither a config nor a parameter file.
+    Raises InputError if a file cannot be read, or is neither a config nor a parameter file.
     """
     with tempfile.TemporaryDirectory(prefix="eha_monitor_") as folder:
         found = list(arguments)
@@ -328,8 +302,7 @@ def with_namespace(settings: Settings, arguments: list[str], node: str) -> Setti
     namespace = settings.monitor.namespace
     for _, path in _files(arguments):
         tree = _tree(path)
-        for name, parameters in () if tree is None else ros_sections(
-                in_ros_form(tree, str(path))):
+        for name, parameters in () if tree is None else ros_sections(in_ros_form(tree, str(path))):
             monitor = parameters.get("monitor") if isinstance(parameters, dict) else None
             if name in (ANY_NODE, f"{ANY_NODE}/{node}", f"/{node}") and isinstance(monitor, dict):
                 namespace = monitor.get("namespace", namespace)
@@ -342,10 +315,7 @@ def with_namespace(settings: Settings, arguments: list[str], node: str) -> Setti
 def in_ros_form(tree: dict, source: str) -> dict:
     """Return a config's tree as one that rcl reads; sections at the top are for every node.
 
-    Raises
-    ------
-    InputError
-        Where a list holds nothing, which no parameter file can say.
+    Raises InputError where a list holds nothing, which no parameter file can say.
     """
     found: dict = {}
     for key, content in tree.items():

@@ -4,7 +4,6 @@ import sys
 import time
 from pathlib import Path
 
-from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 
@@ -13,7 +12,7 @@ from eha_monitor.health.alarms import WATCHED
 from eha_monitor.recordings.write import BagWriter, TopicType
 from eha_monitor.ros import running
 from eha_monitor.ros.messages import ESTIMATES
-from eha_monitor.ros.topics import check_topic, message_class, profile
+from eha_monitor.ros.topics import check_topic, every, message_class, profile
 from eha_monitor.settings import Settings
 
 # Looking for publishers; rosbag2 does the same.
@@ -25,39 +24,26 @@ def topics_to_record(settings: Settings) -> tuple[str, ...]:
     """Return the input topics of the channel map and what the monitor publishes."""
     inputs = dict.fromkeys(channel.topic for channel in settings.channels.values()
                            if channel.topic)
-    outputs = [f"monitor/{watched.section}{end}" for watched in WATCHED
-               for end in ("", "_stddev")]
+    outputs = [f"monitor/{watched.section}{end}" for watched in WATCHED for end in ("", "_stddev")]
     return (*inputs, *outputs, ESTIMATES, "monitor/joint_states", "monitor/health", "/diagnostics")
 
 
 class Recorder:
-    """Subscribes to topics as they appear and writes what comes.
-
-    Parameters
-    ----------
-    node : node in the namespace of relative topics.
-    writer : open bag.
-    topics : names, relative or absolute.
-    """
+    """Subscribes to topics, relative or absolute, as they appear and writes what comes."""
 
     def __init__(self, node: Node, writer: BagWriter, topics: tuple[str, ...]):
         self.writer = writer
         self._node = node
-        self._waiting = dict.fromkeys(node.resolve_topic_name(topic) for topic in topics)
+        # those that nobody has published so far
+        self.waiting = dict.fromkeys(node.resolve_topic_name(topic) for topic in topics)
         self._poll()
-        node.create_timer(POLL_PERIOD, self._poll,
-                          clock=Clock(clock_type=ClockType.STEADY_TIME))
-
-    @property
-    def waiting(self) -> list[str]:
-        """Topics that nobody has published so far."""
-        return list(self._waiting)
+        every(node, POLL_PERIOD, self._poll)
 
     def _poll(self) -> None:
-        for topic in list(self._waiting):
+        for topic in list(self.waiting):
             publishers = self._node.get_publishers_info_by_topic(topic)
             if publishers:
-                del self._waiting[topic]
+                del self.waiting[topic]
                 self._subscribe(topic, publishers)
 
     def _subscribe(self, topic: str, publishers: list) -> None:
@@ -74,26 +60,17 @@ class Recorder:
             return
         write, now = self.writer.write_raw, time.time_ns
 
-        def on_message(data):
-            write(topic, now(), data)
-
         self._node.create_subscription(
-            kind, topic, on_message, raw=True, qos_profile=profile(DEPTH, reliable, latched))
+            kind, topic, lambda data: write(topic, now(), data), raw=True,
+            qos_profile=profile(DEPTH, reliable, latched))
 
 
 def run_record(out: Path, ros_args: list[str], topics: tuple[str, ...] | None = None,
                duration: float | None = None, config: Path | None = None) -> int:
     """Record until a signal or for ``duration`` s; returns the exit status.
 
-    Parameters
-    ----------
-    out : bag to write.
-    topics : topics to record; None or empty takes those of :func:`topics_to_record`.
-
-    Raises
-    ------
-    InputError
-        If the bag cannot be written, or the config or a ROS argument is wrong.
+    ``topics`` : topics to record; None or empty takes those of :func:`topics_to_record`.  Raises
+    InputError if the bag cannot be written, or the config or a ROS argument is wrong.
     """
     settings, _ = running.configured(config, ros_args, "record")
     topics = tuple(topics or topics_to_record(settings))

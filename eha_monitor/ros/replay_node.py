@@ -11,6 +11,7 @@ from pathlib import Path
 from rclpy.experimental import EventsExecutor
 from rclpy.node import Node
 from rclpy.publisher import Publisher
+from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rosbags.rosbag2 import ReaderError
 from rosbags.rosbag2.metadata import parse_qos
@@ -35,16 +36,7 @@ SHARED = ("/diagnostics", "/rosout", "/parameter_events", "/tf", "/tf_static")
 
 
 class Replay:
-    """Publishes the messages of a bag; pause by service or by the space key.
-
-    Parameters
-    ----------
-    node : the replay node.
-    bag : folder or file.
-    rate : times real time.
-    clock : whether to publish ``/clock``.
-    paused : whether to start paused.
-    """
+    """Publishes the messages of a bag; pause by service or by the space key."""
 
     def __init__(self, node: Node, bag: Path, rate: float = 1.0, clock: bool = True,
                  paused: bool = False):
@@ -199,8 +191,6 @@ class Keyboard:
 
 def bar_of(bag: Path) -> Progress:
     """Return a progress bar as long as a bag, s, with one task: on a terminal, else unseen."""
-    from rich.console import Console
-
     seen = sys.stderr.isatty()
     times = [block.times for _, block in Bag(bag).blocks() if seen and len(block.times)]
     total = (max(t.max() for t in times) - min(t.min() for t in times)) * 1e-9 if times else None
@@ -216,17 +206,13 @@ def run_replay(bag: Path, ros_args: list[str], rate: float = 1.0, clock: bool = 
                loop: bool = False, start_paused: bool = False) -> int:
     """Publish a bag until its end (``loop``: until a signal); returns the exit status.
 
-    Raises
-    ------
-    InputError
-        If there is no bag, it holds nothing to publish, or a ROS argument is wrong.
+    Raises InputError if there is no bag, it holds nothing to publish, or a ROS argument is wrong.
     """
     with running.ros_session(ros_args), running.node("replay") as node:
         replay = Replay(node, Path(bag), rate, clock, start_paused)
         start = time.monotonic()
         try:
-            with (running.until_shutdown(), Keyboard().listen() as keys,
-                  bar_of(Path(bag)) as bar):
+            with (running.until_shutdown(), Keyboard().listen() as keys, bar_of(Path(bag)) as bar):
                 replay.play(keys, bar)
                 while loop and running.ok():
                     replay.play(keys, bar)

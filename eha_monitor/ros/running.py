@@ -9,6 +9,7 @@ from pathlib import Path
 
 import rclpy
 from rclpy.duration import Duration
+from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
 from rclpy.exceptions import InvalidNamespaceException, InvalidParameterException
 from rclpy.executors import ExternalShutdownException
 from rclpy.experimental import EventsExecutor
@@ -19,7 +20,6 @@ from rclpy.utilities import remove_ros_args
 
 from eha_monitor.errors import InputError
 from eha_monitor.ros.parameters import for_rcl, with_namespace
-from eha_monitor.ros.without_events import QuietNode
 from eha_monitor.settings import Settings, load_settings
 
 # So often the loop looks up whether it is to end: while nothing comes, signals wait.
@@ -30,19 +30,38 @@ _DELIVERY = 2.0
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 
 
+class WithoutEvents:
+    """Mixed in before a kind of node: its endpoints ask for no event of the middleware.
+
+    Those can stop every message for good.  rmw_fastrtps 8.4 holds the lock of an endpoint's
+    events while it asks the endpoint for its status, and Fast DDS holds the endpoint's lock while
+    it tells of an event (pull request 890 of rmw_fastrtps).  Where an EventsExecutor takes up an
+    endpoint in the moment in which it is matched, the two wait for each other forever, and the
+    process receives nothing more.  rclpy asks for two events of every endpoint, to warn of an
+    incompatible QoS or type.
+    """
+
+    def create_publisher(self, *arguments, **options):
+        """Make a publisher as :meth:`rclpy.node.Node.create_publisher` does."""
+        none = PublisherEventCallbacks(use_default_callbacks=False)
+        return super().create_publisher(*arguments, event_callbacks=none, **options)
+
+    def create_subscription(self, *arguments, **options):
+        """Make a subscription as :meth:`rclpy.node.Node.create_subscription` does."""
+        none = SubscriptionEventCallbacks(use_default_callbacks=False)
+        return super().create_subscription(*arguments, event_callbacks=none, **options)
+
+
+class QuietNode(WithoutEvents, Node):
+    """A node whose own endpoints, that of parameter events too, ask for no event."""
+
+
 @contextlib.contextmanager
 def ros_session(arguments: list[str]) -> Iterator[None]:
     """Keep ROS running for a block; SIGINT and SIGTERM end the block quietly.
 
-    Parameters
-    ----------
-    arguments : ROS arguments, with or without a leading ``--ros-args``; a parameter file may be
-        a config of either form.
-
-    Raises
-    ------
-    InputError
-        If ROS does not understand the arguments.
+    ``arguments`` : ROS arguments, with or without a leading ``--ros-args``; a parameter file may
+    be a config of either form.  Raises InputError if ROS does not understand the arguments.
     """
     arguments = list(arguments)
     if arguments and "--ros-args" not in arguments:
@@ -126,15 +145,8 @@ def _ros_problem(what: str) -> Iterator[None]:
 def made(name: str, make: Callable[..., Node], *arguments, **options) -> Iterator[Node]:
     """Make a node; at the end deliver what it published last, and destroy it.
 
-    Parameters
-    ----------
-    name : for messages.
-    make : called with what follows.
-
-    Raises
-    ------
-    InputError
-        If a parameter file or the namespace is wrong.
+    ``make`` : called with what follows.  Raises InputError if a parameter file or the namespace is
+    wrong.
     """
     with _ros_problem(f"node {name}"):
         found = make(*arguments, **options)
@@ -183,23 +195,16 @@ def spin(nodes: Node | Sequence[Node], duration: float | None = None,
 def configured(config: Path | None, ros_args: list[str], name: str) -> tuple[Settings, str]:
     """Return the settings of a node of this name, and what its config is called in errors.
 
-    Raises
-    ------
-    InputError
-        If the config or a parameter file is wrong.
+    Raises InputError if the config or a parameter file is wrong.
     """
-    return (with_namespace(load_settings(config), ros_args, name),
-            str(config or "default config"))
+    return (with_namespace(load_settings(config), ros_args, name), str(config or "default config"))
 
 
 def actuators(config: Path | None, given: tuple[str, ...], ros_args: list[str], name: str
               ) -> list[tuple[Settings, str]]:
     """Return settings and config's name of each ``NAME=CONFIG``, or else of the one actuator.
 
-    Raises
-    ------
-    InputError
-        If there are both, or a config or an actuator is wrong.
+    Raises InputError if there are both, or a config or an actuator is wrong.
     """
     if given and config is not None:
         raise InputError("--config: expected either it or --actuator NAME=CONFIG")
@@ -210,12 +215,8 @@ def actuators_of(given: tuple[str, ...], node: str = "monitor") -> list[tuple[Se
     """Return settings and config's name of each ``NAME=CONFIG``.
 
     The name becomes the namespace of the topics and the ``hardware_id`` of the diagnostics; an
-    empty CONFIG is the paper's EHA.
-
-    Raises
-    ------
-    InputError
-        If one has no name, or a name comes twice, or a config is wrong.
+    empty CONFIG is the paper's EHA.  Raises InputError if one has no name, or a name comes twice,
+    or a config is wrong.
     """
     found: dict[str, tuple[Settings, str]] = {}
     for text in given:
@@ -236,14 +237,9 @@ def actuators_of(given: tuple[str, ...], node: str = "monitor") -> list[tuple[Se
 
 
 def refuse_another_rig(settings: Settings) -> None:
-    """Refuse a machine file that was made of another rig than the config's.
+    """Raise InputError where the machine file was made of another rig than the config's.
 
     By the name in the config: that of ``--actuator`` is no rig's, but a place's.
-
-    Raises
-    ------
-    InputError
-        With both names.
     """
     if not settings.diagnosis.machine:
         return
@@ -257,13 +253,7 @@ def refuse_another_rig(settings: Settings) -> None:
 
 
 def check_apart(nodes: Sequence[Node]) -> None:
-    """Refuse nodes of which two have the same name.
-
-    Raises
-    ------
-    InputError
-        With the name.
-    """
+    """Raise InputError where two of the nodes have the same name."""
     names = [each.get_fully_qualified_name() for each in nodes]
     if len(set(names)) < len(names):
         raise InputError(f"ROS arguments: two actuators would both be {names[0]}, expected no "

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from std_srvs.srv import Trigger
@@ -17,18 +16,16 @@ from eha_monitor.physics.simulator import Simulator, demanded_position
 from eha_monitor.ros import running
 from eha_monitor.ros.parameters import SIMULATOR_KEYS, declare, settings_of_node
 from eha_monitor.ros.subscriptions import TopicInput
-from eha_monitor.ros.topics import HELD, OUTPUT_QOS, Entry, message_class, topics_of
+from eha_monitor.ros.topics import HELD, OUTPUT_QOS, Entry, every, message_class, topics_of
 from eha_monitor.settings import Settings
 
 # Samples go out in bursts of this spacing: fewer wake-ups, and little against 20 ms of latency.
 BURST = 0.002
-# The plant is simulated in blocks, as one call costs as much as a hundred samples.
-BLOCK = 100
+BLOCK = 100  # the plant is simulated in blocks, as one call costs as much as a hundred samples
 # Where commands are followed, a block must not begin before they have come.
 FOLLOWING_BLOCK = 10
 KEPT_COMMANDS = 4000
-# Temperature is a slow sensor.
-SLOW_PERIOD = 0.1
+SLOW_PERIOD = 0.1  # temperature is a slow sensor
 
 
 @dataclass
@@ -57,23 +54,14 @@ class _Stream:
 
 
 class SimulatorNode:
-    """Publishes samples in real time, each with its exact stamp.
-
-    Parameters
-    ----------
-    node : node in the namespace of the topics.
-    settings : validated config.
-    seed : seed of the sensor noise; None takes the config's.
-    source : name of the config in errors.
-    """
+    """Publishes samples in real time, each with its exact stamp; seed None is the config's."""
 
     def __init__(self, node: Node, settings: Settings, seed: int | None = None,
                  source: str = "config"):
         self.samples = self.messages = 0
         follows = settings.simulation.demand == "topic"
         self._commands = _Commands(node, settings, source) if follows else None
-        self._simulator = Simulator(settings, seed, source,
-                                    self._commands.at if follows else None)
+        self._simulator = Simulator(settings, seed, source, self._commands.at if follows else None)
         published = set(settings.simulation.publish) - ({"x_d"} if follows else set())
         self._streams = _streams(node, settings, source, published)
         self._step_ns = settings.rig.sample_time * 1e9
@@ -85,7 +73,7 @@ class SimulatorNode:
         self._start = time.monotonic()
         if self._commands is not None:
             self._commands.start_ns = self._start_ns
-        node.create_timer(BURST, self._burst, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        every(node, BURST, self._burst)
         node.create_service(Trigger, "simulator/excite", self._on_excite)
 
     def _advance(self) -> None:
@@ -154,8 +142,8 @@ class _Commands:
         """Take the commands that came."""
         while True:
             messages, _, _ = self._input.take()
-            for batch in self._input.read(messages, np.zeros(len(messages)), np.zeros(
-                    len(messages), dtype=np.int64)) if messages else ():
+            none = np.zeros(len(messages), dtype=np.int64)
+            for batch in self._input.reader.read(messages, none, none) if messages else ():
                 column = batch.source.channels.index("x_d")
                 for at, value in zip(batch.stamps, batch.values[:, column], strict=True):
                     kept = np.searchsorted(self._stamps, at)
@@ -169,8 +157,7 @@ class _Commands:
         return np.interp(time_s, (self._stamps - self.start_ns) * 1e-9, self._values)
 
 
-def _streams(node: Node, settings: Settings, source: str, published: set[str]
-             ) -> list[_Stream]:
+def _streams(node: Node, settings: Settings, source: str, published: set[str]) -> list[_Stream]:
     if unmapped := sorted(published - set(settings.channels)):
         raise InputError(f"{source}: simulation.publish: {unmapped[0]} has no entry in channels")
     frame = settings.frame_id
@@ -236,10 +223,7 @@ def run_simulator(config: Path | None, ros_args: list[str], duration: float | No
                   seed: int | None = None) -> int:
     """Publish the simulated actuator until a signal or for ``duration`` s.
 
-    Raises
-    ------
-    InputError
-        If the config, a parameter or a ROS argument is wrong.
+    Raises InputError if the config, a parameter or a ROS argument is wrong.
     """
     settings, source = running.configured(config, ros_args, "simulator")
     with (running.ros_session(ros_args),

@@ -6,6 +6,7 @@ second, which costs a tenth of an executor's way to a callback for each.
 
 import time
 from collections.abc import Callable, Sequence
+from functools import cache
 
 import numpy as np
 from rclpy.impl.implementation_singleton import rclpy_implementation
@@ -14,13 +15,13 @@ from rclpy.qos import QoSProfile
 from rclpy.type_support import check_is_valid_msg_type
 
 from eha_monitor.errors import InputError
-from eha_monitor.health.overload import LoadWatch, Overload
+from eha_monitor.health.overload import LoadWatch
 from eha_monitor.live.faults import MIXED
-from eha_monitor.live.rows import Batch, RowAligner
+from eha_monitor.live.rows import RowAligner
 from eha_monitor.recordings.dating import Dating
 from eha_monitor.ros.decoding import Stream, TopicReader
 from eha_monitor.ros.keeper import Keeper
-from eha_monitor.ros.topics import INPUT_QOS, Topic, clashes, crowd
+from eha_monitor.ros.topics import INPUT_QOS, Topic, crowd
 
 AT_ONCE = 500  # messages of a topic that are taken before those of the next
 
@@ -34,37 +35,24 @@ DEMANDED = frozenset({"x_d", "omega_d"})  # the same, where the pump's speed com
 
 
 class TopicInput:
-    """One topic: its subscription, its streams, what is wrong with it.
-
-    Parameters
-    ----------
-    node : node to subscribe with.
-    topic : topic and the streams it carries.
-    qos : of the subscription.
-
-    Attributes
-    ----------
-    key : of the topic in the diagnostics: its name in the config, or that of a remap.
-    channels : that it brings.
-    leads : whether the position is one of them, which stamps the rows.
-    messages : how many came.
-    type : of the messages, such as ``sensor_msgs/msg/JointState``; None before it is known.
-    reader : of messages of that type.
-    waits : whether more were waiting than could be taken the last time.
-    """
+    """One topic: its subscription, its streams, what is wrong with it."""
 
     def __init__(self, node: Node, topic: Topic, qos: QoSProfile = INPUT_QOS):
         self.topic = topic
+        # that it brings
         self.channels = frozenset(name for entry in topic.entries
                                   for name in entry.source.channels)
+        # whether the position is one of them, which stamps the rows
         self.leads = "x" in self.channels
         own = f"{node.get_namespace().rstrip('/')}/{topic.name}"
+        # of the topic in the diagnostics: its name in the config, or that of a remap
         self.key = (topic.name if topic.full_name in (own, topic.name) else
                     topic.full_name).strip("/").replace("/", "_")
-        self.messages = 0
+        self.messages = 0  # how many came
+        # of the messages, such as ``sensor_msgs/msg/JointState``; None before it is known
         self.type: str | None = None
-        self.waits = False
-        self.reader: TopicReader | None = None
+        self.waits = False  # whether more were waiting than could be taken the last time
+        self.reader: TopicReader | None = None  # of messages of that type
         self._node, self._qos = node, qos
         self._streams = [Stream(entry) for entry in topic.entries]
         self._subscription = None
@@ -97,13 +85,7 @@ class TopicInput:
         self.type, self.reader, self._type_problem = wanted, reader, None
 
     def take(self) -> tuple[list[bytes], list[int], int]:
-        """Take what waits.
-
-        Returns
-        -------
-        messages, received_ns, sent_ns
-            Messages as they came, when each was received, and when the first was sent.
-        """
+        """Take what waits: messages, when each was received, and when the first was sent, ns."""
         messages, received, sent_ns = [], [], 0
         subscription = self._subscription
         if subscription is not None:
@@ -121,16 +103,6 @@ class TopicInput:
         self.waits = len(messages) == AT_ONCE
         self.messages += len(messages)
         return messages, received, sent_ns
-
-    def read(self, messages: Sequence[bytes], came: np.ndarray, now_ns: np.ndarray
-             ) -> list[Batch]:
-        """Return the samples of each stream in messages of :meth:`take`.
-
-        Parameters
-        ----------
-        came, now_ns : (n,) when each was received: s, monotonic, and ns on the node's clock.
-        """
-        return self.reader.read(messages, came, now_ns)
 
     def close(self) -> None:
         """End the subscription."""
@@ -166,10 +138,6 @@ class TopicInput:
                     for each in problems)
         return crowd(self._node, self.topic.name) if mixed else ""
 
-    def clashes(self) -> list[str]:
-        """Return in sentences which publishers offer what this subscription cannot take."""
-        return clashes(self._node, self.topic.name)
-
     def rate(self, now: float) -> float:
         """Return the messages per second since the last call; ``now`` in s, monotonic."""
         (count, since), self._counted = self._counted, (self.messages, now)
@@ -179,25 +147,16 @@ class TopicInput:
 class Drain:
     """Takes what waits on the topics: messages to the rows, and to what is kept of them.
 
-    Parameters
-    ----------
-    node : its clock stamps messages that carry no stamp.
-    inputs : the topics.
-    aligner : takes the samples.
-    keeper : keeps the messages as they came.
-
-    Attributes
-    ----------
-    oldest : age of the oldest message when it was worked on, s, the worst since :meth:`look`.
+    ``node`` : its clock stamps messages that carry no stamp.
     """
 
-    def __init__(self, node: Node, inputs: list[TopicInput], aligner: RowAligner,
-                 keeper: Keeper):
+    def __init__(self, node: Node, inputs: list[TopicInput], aligner: RowAligner, keeper: Keeper):
         self._node, self._aligner, self._keeper = node, aligner, keeper
         self._inputs = sorted(inputs, key=lambda one: not one.leads)
-        self._streams: dict[tuple[str, str], int] = {}
+        self._stream = cache(keeper.stream)
         self._dating = Dating()  # by the position, which is taken first
         self._transport = np.inf  # the least from sending to reception, on two clocks, s
+        # age of the oldest message when it was worked on, s, the worst since :meth:`look`
         self.oldest = 0.0
 
     def take(self) -> bool:
@@ -214,7 +173,7 @@ class Drain:
             waited = np.zeros(len(received)) if not received[0] else np.minimum(np.maximum(
                 (wall_ns - np.array(received)) * 1e-9, 0.0), LONGEST_S)
             came_ns = clock_ns - np.rint(waited * 1e9).astype(np.int64)
-            batches += each.read(messages, now - waited, came_ns if each.reader.stamped
+            batches += each.reader.read(messages, now - waited, came_ns if each.reader.stamped
                                  else self._dating.dated(each.topic.name, came_ns))
             if each.leads and each.reader.stamped:
                 self._dating.learn(came_ns, each.reader.stamps)
@@ -222,7 +181,7 @@ class Drain:
             self._transport = min(self._transport, transport)
             self.oldest = max(self.oldest, float(waited[0]) + transport - self._transport)
             if self._keeper.ring is not None:
-                kept.append((self._stream(each), received, messages))
+                kept.append((self._stream(each.topic.name, each.type), received, messages))
         if batches:
             self._aligner.take(batches)
         if kept:
@@ -238,21 +197,9 @@ class Drain:
         oldest, self.oldest = self.oldest, 0.0
         return oldest
 
-    def _stream(self, each: TopicInput) -> int:
-        key = each.topic.name, each.type
-        if key not in self._streams:
-            self._streams[key] = self._keeper.stream(*key)
-        return self._streams[key]
-
 
 class Load:
-    """What is due, and how far the monitor is behind its inputs.
-
-    Parameters
-    ----------
-    jobs : period in s and what to do, of each thing that is due again and again.
-    stale_after : see :class:`LoadWatch`.
-    """
+    """What is due again and again (period in s, job), and how far the monitor is behind."""
 
     def __init__(self, jobs: Sequence[tuple[float, Callable[[], None]]], stale_after: float):
         now = time.monotonic()
@@ -261,7 +208,6 @@ class Load:
         self._jobs = [[period, now + period, job] for period, job in jobs]
         self._ran = self._looked = now
         self._away = self._waited = 0.0
-        self._busy = False
 
     def run(self, now: float) -> float:
         """Note that the monitor runs at ``now`` (s, monotonic); return for how long not, s."""
@@ -271,16 +217,10 @@ class Load:
 
     def tick(self, now: float) -> None:
         """Do what is due at ``now`` (s, monotonic)."""
-        if self._busy:
-            return
-        self._busy = True
-        try:
-            for job in self._jobs:
-                if now >= job[1] - EARLY * self.period:
-                    job[1] = max(job[1] + job[0], now)
-                    job[2]()
-        finally:
-            self._busy = False
+        for job in self._jobs:
+            if now >= job[1] - EARLY * self.period:
+                job[1] = max(job[1] + job[0], now)
+                job[2]()
 
     def look(self, waited: float, rows: int, missing: int) -> None:
         """See whether the monitor keeps up, some times a second.
@@ -296,7 +236,3 @@ class Load:
             return
         self.watch.look(now, rows, missing, self._waited, self._away)
         self._looked, self._away, self._waited = now, 0.0, 0.0
-
-    def found(self) -> Overload | None:
-        """Return what is wrong now, or None."""
-        return self.watch.found(time.monotonic())

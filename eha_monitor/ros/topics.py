@@ -1,9 +1,11 @@
-"""Topics: which carry which channels, of which type and in which quality of service."""
+"""Topics: which carry which channels, of which type and in which quality of service; timers."""
 
 import importlib
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from rclpy.clock import Clock, ClockType
+from rclpy.exceptions import InvalidTopicNameException
 from rclpy.node import Node
 from rclpy.qos import (
     DurabilityPolicy,
@@ -12,6 +14,8 @@ from rclpy.qos import (
     ReliabilityPolicy,
     qos_check_compatible,
 )
+from rclpy.timer import Timer
+from rclpy.validate_topic_name import validate_topic_name
 
 from eha_monitor.errors import InputError
 from eha_monitor.live.rows import Source
@@ -31,12 +35,16 @@ def profile(depth: int, reliable: bool = True, latched: bool = False) -> QoSProf
 
 LATCHED = profile(1, latched=True)
 QUEUED = profile(10)
-# The simulator's: reliable suits subscribers of either kind.
-OUTPUT_QOS = profile(1000)
+OUTPUT_QOS = profile(1000)  # the simulator's: reliable suits subscribers of either kind
 # Best effort takes from every publisher; the depth holds ten seconds of a process that stands.
 INPUT_QOS = profile(10_000, reliable=False)
 # What is shown may miss samples, and must not be late: the newest of each turn are enough.
 SHOWN_QOS = profile(100, reliable=False)
+
+
+def every(node: Node, period: float, work: Callable[[], None]) -> Timer:
+    """Do some work every ``period`` s of real time: it must not stop with ``/clock``."""
+    return node.create_timer(period, work, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
 
 def crowd(node: Node, topic: str) -> str:
@@ -88,8 +96,7 @@ DEFAULT_TYPES = {"position": "sensor_msgs/msg/JointState",
                  "effort": "sensor_msgs/msg/JointState",
                  "fluid_pressure": "sensor_msgs/msg/FluidPressure",
                  "temperature": "sensor_msgs/msg/Temperature", "data": "std_msgs/msg/Float64"}
-# The oil's temperature is slow: its last value counts.
-HELD = frozenset({"temperature"})
+HELD = frozenset({"temperature"})  # the oil's temperature is slow: its last value counts
 # What the diagnosis reads from recordings, and no stage of the live monitor.
 UNUSED = frozenset({"omega_d"})
 
@@ -106,17 +113,11 @@ class Entry:
 
 @dataclass(frozen=True)
 class Topic:
-    """One topic to subscribe to, and the streams it carries.
+    """One topic to subscribe to, and the streams it carries."""
 
-    Attributes
-    ----------
-    name : as the config has it, before any remap.
-    full_name : as it is on the graph, for messages to people.
-    """
-
-    name: str
+    name: str  # as the config has it, before any remap
     entries: tuple[Entry, ...]
-    full_name: str
+    full_name: str  # as it is on the graph, for messages to people
 
     @property
     def default_type(self) -> str | None:
@@ -130,15 +131,8 @@ def topics_of(settings: Settings, source: str = "config",
               resolve: Callable[[str], str] = str) -> list[Topic]:
     """Return the topics of the channel map with their streams.
 
-    Parameters
-    ----------
-    source : name of the config in errors.
-    resolve : name in the config -> full name on the graph, remaps included.
-
-    Raises
-    ------
-    InputError
-        If the map has no position, or a channel without topic or field.
+    ``resolve`` : name in the config -> full name on the graph, remaps included.  Raises InputError
+    if the map has no position, or a channel without topic or field.
     """
     if "x" not in settings.channels:
         raise InputError(f"{source}: channels.x: expected the position's topic, it stamps the "
@@ -177,16 +171,7 @@ def topics_of(settings: Settings, source: str = "config",
 
 
 def check_topic(name: str) -> None:
-    """Refuse a name that ROS does not take for a topic.
-
-    Raises
-    ------
-    InputError
-        One line with the name.
-    """
-    from rclpy.exceptions import InvalidTopicNameException
-    from rclpy.validate_topic_name import validate_topic_name
-
+    """Raise InputError for a name that ROS does not take for a topic."""
     try:
         if not (name.isascii() and name.isprintable()):  # ROS reads up to a zero only
             raise ValueError(name)
@@ -197,13 +182,7 @@ def check_topic(name: str) -> None:
 
 
 def message_class(type_name: str) -> type:
-    """Return the class of a message type such as ``sensor_msgs/msg/JointState``.
-
-    Raises
-    ------
-    InputError
-        If its package is not installed.
-    """
+    """Return the class of a type as ``std_msgs/msg/Float64``; InputError if not installed."""
     parts = type_name.split("/")
     try:
         if len(parts) != 3:
