@@ -245,10 +245,7 @@ def checks(reading: Reading) -> Iterator[Check]:
     """Yield every relation that the reading's channels and numbers allow."""
     for relation in RELATIONS:
         found = relation(reading)
-        if isinstance(found, Check):
-            yield found
-        elif found is not None:
-            yield from found
+        yield from [found] if isinstance(found, Check) else found or ()
 
 
 def driving_force(reading: Reading) -> np.ndarray | None:
@@ -310,13 +307,13 @@ def times(value: float) -> str:
     return f"{value:.2f} times" if 0.1 <= abs(value) < 100 else f"{figure(value)} times"
 
 
-def slope_check(name: str, found: Ratio, what: str, of: str, spread: float | None = None
-                ) -> Check:
-    """Return the check of a slope that should be 1, e.g. ``what`` is 0.98 times ``of``.
+def slope_check(name: str, found: Ratio | None, what: str, of: str, spread: float | None = None
+                ) -> Check | None:
+    """Return the check of a slope that should be 1, e.g. ``what`` is 0.98 times ``of``; or None.
 
     Its logarithm scatters by ``spread``, without it by what ``SPREAD`` has for the name.
     """
-    return Check(name, cost(found.slope, found.rho, spread or SPREAD[name]),
+    return found and Check(name, cost(found.slope, found.rho, spread or SPREAD[name]),
                  Phrase(f"{what} is {times(found.slope)} {of}", f"{times(found.slope)}"),
                  Phrase(f"{what} and {of} have correlation {found.rho:.2f}",
                         f"{found.rho:+.2f}"), found.rho < 0, found.slope,
@@ -342,8 +339,6 @@ def flow_balance(reading: Reading) -> Check | None:
         return None
     found = ratio(reading, displacement * speed[0], reading.column("x", 1, area),
                   reading.column("x", 2))
-    if found is None:
-        return None
     return slope_check("flow", found, speed[1], "the piston's flow A·v")
 
 
@@ -355,11 +350,9 @@ def drive(reading: Reading) -> Check | None:
     error = reading.column("x_d", 0, gain) - reading.column("x", 0, gain)
     speed, lag = reading.column("omega"), reading.column("omega", 1)
     found = ratio(reading, speed, error, lag)
-    if found is None:
-        return None
     # Most controllers feed the demand's own rate forward, and the error is then a small rest.
     led = ratio(reading, speed, error, lag, reading.column("x_d", 1))
-    if led is not None and 1.0 - led.share < FORWARD * (1.0 - found.share):
+    if found and led and 1.0 - led.share < FORWARD * (1.0 - found.share):
         return slope_check("drive", led, "the pump's speed beside a feed-forward",
                            "K_pos (x_d - x)", SPREAD["fed"])
     return slope_check("drive", found, "the pump's speed", "K_pos (x_d - x)")
@@ -371,10 +364,8 @@ def tracking(reading: Reading) -> list[Check] | None:
         return None
     x, v, a = (reading.column("x", order) for order in range(3))
     demanded = reading.column("x_d")
-    found = []
-    follows = ratio(reading, demanded, x, v, a)
-    if follows is not None:
-        found.append(slope_check("tracking", follows, "x_d", "x"))
+    follows = slope_check("tracking", ratio(reading, demanded, x, v, a), "x_d", "x")
+    found = [follows] if follows else []
     behind = ratio(reading, demanded, v, x, a)
     if behind is not None and behind.share > 0.5:
         # A lag that is a small part of the motion may well be a feed-forward's.
@@ -411,12 +402,11 @@ def stiffness(reading: Reading) -> Check | None:
 
 def stroke(reading: Reading) -> Check | None:
     """The oil that the piston sweeps is less than what both chambers hold."""
-    keys = ("area_1", "area_2", "volume_1", "volume_2")
-    one, two, oil_1, oil_2 = (reading.rig[key] for key in keys)
-    if "x" not in reading.roles or None in (one, two, oil_1, oil_2):
-        return None
-    source = reading.roles["x"]
-    if source.channel not in reading.moments.levels:
+    one, two, oil_1, oil_2 = (reading.rig[key] for key in (
+        "area_1", "area_2", "volume_1", "volume_2"))
+    source = reading.roles.get("x")
+    if source is None or source.channel not in reading.moments.levels or None in (
+            one, two, oil_1, oil_2):
         return None
     swept = 0.5 * (one + two) * abs(source.factor) * reading.moments.levels[source.channel].span
     share = swept / (oil_1 + oil_2)
@@ -444,10 +434,8 @@ def measured_speed(reading: Reading) -> Check | None:
     """The velocity channel is the position's derivative."""
     if not reading.has("x", "v"):
         return None
-    found = ratio(reading, reading.column("v"), reading.column("x", 1))
-    if found is None:
-        return None
-    return slope_check("speed", found, "v", "the position's derivative")
+    return slope_check("speed", ratio(reading, reading.column("v"), reading.column("x", 1)), "v",
+                       "the position's derivative")
 
 
 def both_forces(reading: Reading) -> Check | None:
@@ -457,8 +445,6 @@ def both_forces(reading: Reading) -> Check | None:
         return None
     found = ratio(reading, reading.column("p1", 0, one) - reading.column("p2", 0, two),
                   reading.column("force"))
-    if found is None:
-        return None
     return slope_check("both_forces", found, "the pressure force", "the measured one")
 
 
@@ -475,17 +461,12 @@ def sizes(reading: Reading) -> list[Check]:
         off = log(span[0] / size) if size < span[0] else log(size / span[1])
         if size > 0 and off > 0:
             kind = "moves over" if role in ("x", "x_d") else "reaches"
-            shown = f"{figure(size)} {unit_of(role, reading.rotary)}"
+            unit = CHANNEL_UNITS[role]
+            shown = f"{figure(size)} {ROTARY.get(unit, unit) if reading.rotary else unit}"
             only = " only" if size < span[0] else ""
             found.append(Check(f"size of {role}", odd(off, SPREAD["size"]),
                                Phrase(f"{role} {kind} {shown}{only}", shown)))
     return found
-
-
-def unit_of(role: str, rotary: bool) -> str:
-    """Return the SI unit of a channel."""
-    unit = CHANNEL_UNITS[role]
-    return ROTARY.get(unit, unit) if rotary else unit
 
 
 def clock(reading: Reading) -> Check | None:
