@@ -13,9 +13,7 @@ import traceback
 import click
 
 from eha_monitor import __version__
-from eha_monitor.commands.advise import advise
-from eha_monitor.commands.diagnose import diagnose
-from eha_monitor.commands.estimate import estimate
+from eha_monitor.commands.answers import advise, diagnose, estimate
 from eha_monitor.commands.files import config, export, import_table, simulate
 from eha_monitor.commands.identify import identify
 from eha_monitor.commands.init import init

@@ -61,6 +61,11 @@ class Indicator:
         return WORDS[self.name]
 
     @property
+    def silent(self) -> bool:
+        """Whether it tells nothing: keys are missing, none was named, or nobody looked."""
+        return self.status in (NEEDS, NONE) or self.message == NOT_LOOKED_FOR
+
+    @property
     def shown(self) -> str:
         """The value as people read it, in brackets in doubt, a dash where it is not reported."""
         if self.status != AVAILABLE:

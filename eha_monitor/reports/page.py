@@ -200,9 +200,8 @@ def indicator_table(indicators: Sequence[Indicator], settings: Settings) -> Tabl
     """Return the indicators with their limits, those without a value last; None without any."""
     if not indicators:
         return None
-    last = [one for one in indicators if one.status in (indicator.NEEDS, indicator.NONE)
-            or one.message == indicator.NOT_LOOKED_FOR]
-    first = [one for one in indicators if one not in last]
+    first = [one for one in indicators if not one.silent]
+    last = [one for one in indicators if one.silent]
     rows = tuple(
         (Cell(one.words, title=one.law),
          Cell(one.shown, "value", exact=(one.value, one.stddev)
