@@ -9,7 +9,7 @@ import pytest
 from diagnosis_tools import ALL, CHARGE, MASS, NAN, coulomb, damping, everything, wrong_number
 from test_reports import Page
 
-from eha_monitor.api.diagnosis_answer import answer, written_config
+from eha_monitor.api.diagnose import answer, written_config
 from eha_monitor.commands.table import show_diagnosis
 from eha_monitor.errors import InputError
 from eha_monitor.mismatch.diagnosis import (

@@ -12,7 +12,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from eha_monitor.api.answer import judged
+from eha_monitor.api.estimate import judged
 from eha_monitor.commands.table import show
 from eha_monitor.errors import InputError
 from eha_monitor.estimation.pipeline import estimate

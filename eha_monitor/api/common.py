@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 
 from eha_monitor.errors import InputError, refused
-from eha_monitor.progress import Report
+from eha_monitor.progress import Report, silent
 
 if TYPE_CHECKING:
     import pandas
@@ -50,11 +50,7 @@ def reporter(progress: Progress) -> Report:
     """
     if callable(progress):
         return progress
-    return _line if progress else _nobody
-
-
-def _nobody(text: str, share: float) -> None:
-    pass
+    return _line if progress else silent
 
 
 def _line(text: str, share: float) -> None:

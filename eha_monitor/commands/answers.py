@@ -41,9 +41,9 @@ def estimate(bag: Path, config: Path | None, json_file: Path | None, report_file
     common.check_outputs({"--json": json_file, "--report": report_file,
                           "--write-config": config_file}, (bag,), config)
 
-    from eha_monitor.api.answer import refusal
     from eha_monitor.api.config import config_of
     from eha_monitor.api.estimate import estimate as run
+    from eha_monitor.api.estimate import refusal
     from eha_monitor.api.read import corrected_config, finding_tree
 
     given = config_of(config)
@@ -123,9 +123,8 @@ def diagnose(bags: tuple[Path, ...], config: Path | None, json_file: Path | None
 
         return int(answer_folder("diagnose", bags[0], config, archive) and exit_code)
     from eha_monitor.api.config import config_of
-    from eha_monitor.api.diagnose import bags_of, known_effects
+    from eha_monitor.api.diagnose import bags_of, completed, known_effects, refusal, written_config
     from eha_monitor.api.diagnose import diagnose as run
-    from eha_monitor.api.diagnosis_answer import completed, refusal, written_config
     from eha_monitor.api.read import distinct, finding_tree
     from eha_monitor.balances.machine import save
     from eha_monitor.reports.diagnosis_words import channels_in_parts, not_in_config
@@ -218,7 +217,7 @@ def write_out_bag(place: Path, found, bags: Sequence[Path], settings) -> None:
     if found.verdict == "insufficient_data":
         click.echo(f"{place}: not written, there is no model: {found.message}")
         return
-    from eha_monitor.api.diagnosis_answer import written_config
+    from eha_monitor.api.diagnose import written_config
     from eha_monitor.mismatch.show.series import series_of, write_diagnosis_bag
     from eha_monitor.recordings.read import read_recording
     from eha_monitor.settings.load import settings_of

@@ -14,7 +14,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from eha_monitor.api.answer import answer
+from eha_monitor.api.estimate import answer
 from eha_monitor.archive import run
 from eha_monitor.archive.find import Place, find_bags, stamp_of
 from eha_monitor.archive.store import INDICATORS, PARAMETERS, Store, check_parquet, iso_time

@@ -31,10 +31,10 @@ def simulate(out: Path, config: Path | None, seed: int | None, duration: float |
 
     common.check_new(out, overwrite)  # before the work, not after it
     with common.progress_bar() as told:
-        made = simulate_bag(out, config_of(config), duration=duration, seed=seed, plain=plain,
-                            overwrite=overwrite, progress=told)
-    click.echo(f"{out}: {made.duration:g} s, {made.samples} samples, "
-               f"channels {', '.join(made.channels)}")
+        length, samples, channels = simulate_bag(
+            out, config_of(config), duration=duration, seed=seed, plain=plain,
+            overwrite=overwrite, progress=told)
+    click.echo(f"{out}: {length:g} s, {samples} samples, channels {', '.join(channels)}")
 
 
 @click.command("import")
@@ -129,8 +129,7 @@ def export(config: Path, fmu: Path | None, platforms: tuple[str, ...], modelica:
         "--urdf": lambda: joints.urdf_of(model, joint),
         "--mujoco": lambda: joints.mujoco_of(model, joint),
         "--ros2-control": lambda: joints.feedforward_of(
-            model, joint, [read_recording(bag, model.settings) for bag in bags]),
-    }
+            model, joint, [read_recording(bag, model.settings) for bag in bags])}
     # All are made before the first is written: a config that one format refuses writes nothing.
     made = {}
     for option, target in targets.items():

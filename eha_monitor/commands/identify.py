@@ -118,7 +118,7 @@ def written(one: "Round", count: int, out: Path, settings: "Settings", overwrite
 def finish(rounds: list["Round"], planner: "Planner", out: Path, command: str,
            targets: tuple[Path | None, Path | None, Path | None], config: Path | None) -> str:
     """Write JSON, report and config; return why the experiment was aborted, or ""."""
-    from eha_monitor.api.diagnosis_answer import answer, written_config
+    from eha_monitor.api.diagnose import answer, written_config
     from eha_monitor.identify.experiment import tree
     from eha_monitor.quantity import in_units
     from eha_monitor.reports.diagnosis_report import diagnosis_page

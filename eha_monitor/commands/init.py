@@ -160,7 +160,7 @@ def _first_estimate(draft, out: Path) -> None:
         click.echo(f"no estimate yet: the recording is {draft.recording.duration:.3g} s long, "
                    f"expected at least {SHORTEST_S:g} s; is the unit of the time right?")
         return
-    from eha_monitor.api.answer import judged
+    from eha_monitor.api.estimate import judged
     from eha_monitor.commands.table import show
     from eha_monitor.compiled import load_runtime
     from eha_monitor.estimation.pipeline import estimate

@@ -93,8 +93,7 @@ def _healthy(bags, settings):
     """Return what each recording says, sentences, where the model does not fit, usual length."""
     import numpy as np
 
-    from eha_monitor.api.answer import judged_series
-    from eha_monitor.api.estimate import refuse_short
+    from eha_monitor.api.estimate import judged_series, refuse_short
     from eha_monitor.api.read import checked
     from eha_monitor.compiled import load_runtime
     from eha_monitor.estimation.inputs import time_of
@@ -221,7 +220,7 @@ def _sentences(proposals, told, seconds, given) -> list[str]:
 
 
 def _tree(proposals, told, seconds, given) -> dict:
-    from eha_monitor.api.answer import finite
+    from eha_monitor.api.estimate import finite
 
     return finite({"schema": SCHEMA, "recording_s": seconds,
                    "notes": _sentences(proposals, told, seconds, given),
