@@ -181,9 +181,9 @@ def diagnose(bags: tuple[Path, ...], config: Path | None, json_file: Path | None
 
     from eha_monitor.commands.table import show_diagnosis
 
-    show_diagnosis(found, [path for path in (json_file, report_file, config_file,
-                                     machine_file if several else None) if path],
-         notes, found.indicators, given.settings)
+    show_diagnosis(found, given.settings, [path for path in (
+        json_file, report_file, config_file, machine_file if several else None) if path],
+        notes, found.indicators)
     if out_bag:
         write_out_bag(out_bag, found, bags, given.settings)
     return int(exit_code and not found.healthy)

@@ -136,8 +136,7 @@ def _tell(draft) -> None:
                       guess.full or f"{scale}{guess.unit}", guess.why.replace("[", r"\["))
     to.print(shown)
     if draft.map.unused:
-        to.print(f"not used: {', '.join(one.shown for one in draft.map.unused)}",
-                      markup=False)
+        to.print(f"not used: {', '.join(one.shown for one in draft.map.unused)}", markup=False)
     if draft.asked:
         to.print("missing values (ASK in the file):", markup=False)
         for key, question in draft.asked:

@@ -174,8 +174,7 @@ def show_indicators(to: Console, indicators: Sequence[Indicator], settings: Sett
     if others := [one.words for one in indicators if one.message == NOT_LOOKED_FOR
                  and one.name != "friction_share"]:
         to.print(escape(f"run {looks} for {listed(others)}"), style="dim")
-    missing = dict.fromkeys(key for one in indicators for key in one.missing)
-    if missing:
+    if missing := dict.fromkeys(key for one in indicators for key in one.missing):
         lacking = listed([one.words for one in indicators if one.status == NEEDS])
         to.print(escape(f"not computed: {lacking}; set {listed(list(missing))} in the "
                         "config (docs/health.md)"), style="dim")
@@ -189,8 +188,8 @@ RIVAL_FORMULA = 20.0  # log units: a formula that is worse by more is not worth 
 _COLOURS = {"ok": "green", "warn": "yellow", "error": "red", "unknown": "dim"}
 
 
-def show_diagnosis(found: Diagnosis, written: list[Path], notes: list[str] = (),
-         indicators: tuple[Indicator, ...] = (), settings: Settings | None = None) -> None:
+def show_diagnosis(found: Diagnosis, settings: Settings, written: Sequence[Path] = (),
+                   notes: Sequence[str] = (), indicators: Sequence[Indicator] = ()) -> None:
     """Print wrong numbers of the rig, verdict, place, effects, parameters, indicators, proof."""
     to = console()
     kind = words.head_of(found)[0]
@@ -228,18 +227,16 @@ def show_diagnosis(found: Diagnosis, written: list[Path], notes: list[str] = (),
         to.print(table("parameter", *words.model_names(found), rows=(
             (SYMBOLS.get(name, name), *words.parameter_words(found, name))
             for name in dict.fromkeys((*found.before, *found.after)))))
-    if settings is not None:
-        show_indicators(to, indicators, settings, "`diagnose` of it alone"
-                        if found.references else "`diagnose`")
+    show_indicators(to, indicators, settings, "`diagnose` of it alone"
+                    if found.references else "`diagnose`")
     if found.signals:
         to.print(_fit(found))
     show_baselines(to, found.baselines)
-    if settings is not None:
-        for line in _against_config(found, settings):
-            to.print(f"[yellow]config[/]: {escape(line)}")
+    for line in _against_config(found, settings):
+        to.print(f"[yellow]config[/]: {escape(line)}")
     for finding in found.rig_within:
         to.print(f"[yellow]rig data[/]: {escape(finding.statement)}")
-    unknown = settings is not None and words.nameless(found)
+    unknown = words.nameless(found)
     todo = words.next_steps(found, shlex.join(found.bags) + words.own_config(settings.rig)
                             ) if unknown else ()
     for title, sentences in (("health", (*words.off_words(found), *found.health)),
