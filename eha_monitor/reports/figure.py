@@ -73,13 +73,11 @@ class Band:
 
 @dataclass(frozen=True)
 class Bars:
-    """Upright bars of one width, (n,), with a number above each."""
+    """Upright grey bars of one width, (n,), with a number above each."""
 
     x: np.ndarray
     height: np.ndarray
     width: float
-    label: str = ""
-    colour: str = MEASURED
 
 
 @dataclass(frozen=True)
@@ -260,8 +258,7 @@ def in_units(panel: Panel, dates: float = 1.0) -> Panel:
         return replace(one, scale=Scale(1.0, one.scale.unit), limits=one.limits and (
             one.limits[0] * factor, one.limits[1] * factor))
 
-    return Panel(side(panel.x, x), side(panel.y, y),
-                 [_scaled(one, x, y) for one in panel.shown])
+    return Panel(side(panel.x, x), side(panel.y, y), [_scaled(one, x, y) for one in panel.shown])
 
 
 def _scaled(one: Any, x: float, y: float) -> Any:
