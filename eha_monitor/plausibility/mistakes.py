@@ -130,8 +130,7 @@ def unit_mistakes(roles: tuple[str, ...], units: dict[str, float], si: str,
 
 def wrong_size(factor: float) -> str:
     """Return what a number is that times ``factor`` is the meant one."""
-    return (f"{1 / factor:g} times too large" if factor < 1 else
-            f"{factor:g} times too small")
+    return (f"{1 / factor:g} times too large" if factor < 1 else f"{factor:g} times too small")
 
 
 def mistakes_for(reading: Reading, given: tuple[Check, ...]) -> list[Mistake]:
@@ -148,8 +147,7 @@ def mistakes_for(reading: Reading, given: tuple[Check, ...]) -> list[Mistake]:
         found.append(Mistake("swapped", pair, f"{pair[0]} and {pair[1]} look swapped",
                              EVERYDAY if usual else RAREST, swap=pair))
     groups = [(role,) for role in has]
-    groups += [pair for pair in (("x", "x_d"), ("p1", "p2"), ("x", "v"))
-               if set(pair) <= set(has)]
+    groups += [pair for pair in (("x", "x_d"), ("p1", "p2"), ("x", "v")) if set(pair) <= set(has)]
     if {"x", "x_d", "v"} <= set(has):
         groups.append(("x", "x_d", "v"))
     for group in groups:

@@ -98,11 +98,9 @@ class Ratio:
 
 def ratio(reading: Reading, left: np.ndarray, right: np.ndarray, *beside: np.ndarray
           ) -> Ratio | None:
-    """Regress ``left`` on ``right`` and ``beside``; None where they do not vary on their own.
+    """Regress ``left`` on ``right`` and ``beside``, each (m,) weights of the columns.
 
-    Parameters
-    ----------
-    left, right, beside : (m,) weights of the columns.
+    None where they do not vary on their own.
     """
     sides = np.array([left, right, *beside])
     c = (sides @ reading.moments.gram @ sides.T).tolist()
@@ -112,8 +110,7 @@ def ratio(reading: Reading, left: np.ndarray, right: np.ndarray, *beside: np.nda
     whole, other = c[0][0], c[1][1]
     unsure = (UNSURE * reading.one_way * float(left @ reading.moments.mean)) ** 2
     swept(c)
-    if (c[1][1] < DISTINCT * other or c[0][0] < 1e-12 * whole
-            or whole < VARIES**2 * unsure):
+    if (c[1][1] < DISTINCT * other or c[0][0] < 1e-12 * whole or whole < VARIES**2 * unsure):
         return None
     # White noise of the sensors is no physics that is missing, and draws no slope to zero.
     signal = c[1][1] - right_blur
@@ -209,14 +206,10 @@ class Check:
 
 
 def odd(ln_ratio: float, spread: float, rho: float = 1.0) -> float:
-    """Return the penalty of a ratio away from 1.
+    """Return the penalty of a ratio away from 1, of ``spread`` as honest standard deviation.
 
-    Parameters
-    ----------
-    ln_ratio : natural logarithm of the ratio.
-    spread : honest relative standard deviation.
-    rho : correlation that it rests on.  Where all that is unexplained were coherent with the
-        regressor, the slope would be off by sqrt(1/rho^2 - 1); half of that is taken.
+    ``rho`` is the correlation that it rests on.  Where all that is unexplained were coherent with
+    the regressor, the slope would be off by sqrt(1/rho^2 - 1); half of that is taken.
     """
     unsure = 0.5 * sqrt(max(1.0 / max(rho * rho, 1e-12) - 1.0, 0.0))
     z = ln_ratio / sqrt(spread**2 + unsure**2)
@@ -264,8 +257,7 @@ def force_balance(reading: Reading) -> list[Check] | None:
     name = "pressure force" if reading.has("p1", "p2") else "force"
     x, v, a = (reading.column("x", order) for order in range(3))
     found = []
-    inertia = ratio(reading, force, a, v, x, reading.column("x", DIRECTION))
-    if inertia is not None:
+    if inertia := ratio(reading, force, a, v, x, reading.column("x", DIRECTION)):
         mass = reading.rig["mass"]
         unit = "kg·m²" if reading.rotary else "kg"
         # Friction and oil that the motion does not explain draw a slope of their own: one that is
@@ -278,19 +270,16 @@ def force_balance(reading: Reading) -> list[Check] | None:
             f"config says {figure(mass)}", f"{figure(inertia.slope)} {unit}"), Phrase(
             f"{name} and acceleration have correlation {inertia.rho:.2f}",
             f"{inertia.rho:+.2f}"), inertia.rho < 0, inertia.slope / mass))
-    friction = ratio(reading, force, v, a, x)
-    if friction is not None:
+    if friction := ratio(reading, force, v, a, x):
         nominal = reading.rig["viscous_damping"] or friction.slope
         guessed = "damping" if "viscous_damping" in reading.said else "guessed"
-        penalty = cost(friction.slope / nominal if nominal else 1.0, friction.rho,
-                       SPREAD[guessed])
+        penalty = cost(friction.slope / nominal if nominal else 1.0, friction.rho, SPREAD[guessed])
         found.append(Check("friction", penalty, Phrase(
             f"{name} over velocity is a damping of {figure(friction.slope)} where the config says "
             f"{figure(nominal)}", f"{figure(friction.slope)}"), Phrase(
             f"{name} and velocity have correlation {friction.rho:.2f}",
             f"{friction.rho:+.2f}"), friction.rho < 0))
-    explained = inertia or friction
-    if explained is not None:
+    if explained := inertia or friction:
         found.append(Check("force", 0.0, Phrase(
             f"the motion explains {100 * explained.share:.0f} % of the {name}",
             f"{100 * explained.share:.0f} %"), fit=unexplained(explained.share)))
