@@ -1,7 +1,6 @@
 """What ``plot()`` of the API draws, and the planned motion of ``identify``."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -47,9 +46,7 @@ def recording_drawing(recording: Recording, names: Sequence[str], units: Mapping
         columns = [sampled(recording.channels[name]) for name in members]
         scale = fig.scale_of(np.concatenate(columns), units[members[0]])
         low, high, _ = robust_range(columns)
-        last = len(panels) == len(groups) - 1
-        panel = fig.Panel(time if last else replace(time, name=""),
-                          fig.Side(quantity, scale, limits=fig.padded(low, high)))
+        panel = fig.Panel(time, fig.Side(quantity, scale, limits=fig.padded(low, high)))
         for name, values, colour in zip(members, columns, (fig.STAGE_ONE, fig.STAGE_TWO),
                                         strict=False):
             every = -(-len(recording) // max(len(values), 1))
@@ -139,9 +136,7 @@ def motion_figure(x_d: np.ndarray, shown: np.ndarray, bounds: Experiment, rig: R
     panels = []
     for i, (name, unit, limits, signals) in enumerate(rows):
         every = np.concatenate([np.array(limits), *(values for values, _, _ in signals)])
-        last = i == len(rows) - 1
-        panel = fig.Panel(fig.Side("time" if last else "", Scale(1.0, "s" if last else ""),
-                                   limits=(0.0, float(time[-1]))),
+        panel = fig.Panel(fig.Side("time", Scale(1.0, "s"), limits=(0.0, float(time[-1]))),
                           fig.Side(name, fig.scale_of(every, unit),
                                    limits=fig.padded(float(every.min()), float(every.max()), 0.1)))
         for values, label, colour in signals:

@@ -205,7 +205,7 @@ def overlay_figure(overlay: Overlay, with_after: bool = True,
                                       limits=fig.padded(low, high)))
     low, high, _ = robust_range([overlay.measured], [values for _, values, *_ in models])
     words = overlay.signal.replace("_", " ")
-    top = fig.Panel(replace(time, name=""), fig.Side(words, scale, limits=fig.padded(low, high)))
+    top = fig.Panel(time, fig.Side(words, scale, limits=fig.padded(low, high)))
     bottom.add(fig.Level(0.0, width=0.8))
     top.signal(t, overlay.measured, "measured", SEEN, width=3.2, opacity=0.55)
     for (name, values, colour, dash), error in zip(models, errors, strict=True):

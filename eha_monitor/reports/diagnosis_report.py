@@ -337,6 +337,12 @@ def _considered(considered: tuple[diagnosis.Considered, ...]) -> list[tuple[str,
     return found
 
 
+def _span_words(values: list[Value | None]) -> str:
+    known = [value for value in values if value and math.isfinite(value.value)]
+    return " to ".join(quantity(end(one.value for one in known), known[0].unit)
+                       for end in (min, max)) if known else "unknown"
+
+
 def _agreement(found: Diagnosis) -> Block | None:
     """Return the pictures of each parameter by part of the record, with a sentence for each."""
     names = dict.fromkeys(name for part in found.agreement for name in (*part.before, *part.after))
@@ -347,15 +353,9 @@ def _agreement(found: Diagnosis) -> Block | None:
         if one is None:
             continue
         pictures.append(one)
-        spans = []
-        for values in ([part.before.get(name) for part in found.agreement],
-                       [part.after.get(name) for part in found.agreement]):
-            known = [value for value in values if value and math.isfinite(value.value)]
-            spans.append(f"{quantity(min(v.value for v in known), known[0].unit)} to "
-                         f"{quantity(max(v.value for v in known), known[0].unit)}"
-                         if known else "unknown")
-        notes.append(f"{SYMBOLS.get(name, name)} from the parts: {spans[0]} before, "
-                     f"{spans[1]} after.")
+        before, after = (_span_words([values.get(name) for values in parts]) for parts in (
+            [part.before for part in found.agreement], [part.after for part in found.agreement]))
+        notes.append(f"{SYMBOLS.get(name, name)} from the parts: {before} before, {after} after.")
     return Block("agreement", "", tuple(pictures), tuple(notes)) if pictures else None
 
 

@@ -149,8 +149,8 @@ def _parameters(shown: list[_Watched], part: slice, views: list[tuple[float, flo
                 ) -> fig.Figure:
     """Draw parameters one above the other over a part of the record; ``views`` SI."""
     time = _time_side(shown[0].stage.time, part, words)
-    panels = tuple(_parameter_panel(one, part, view, time if one is shown[-1] else replace(
-        time, name="", note="")) for one, view in zip(shown, views, strict=True))
+    panels = tuple(_parameter_panel(one, part, view, time)
+                   for one, view in zip(shown, views, strict=True))
     last = [f"{PARAMETER_WORDS[one.name]}, last value " + quantity(
         one.stage.value[np.isfinite(one.stage.value)][-1], one.stage.estimate.unit)
         for one in shown]
@@ -345,8 +345,8 @@ class _Motion:
             top.add(fig.cut_note(quantity(peak, unit, 2)))
         panels = [top]
         if residuals:
-            panels = [replace(top, x=replace(time, name="", note="")), _residuals(
-                time, t, [(one, one.values[here]) for one in residuals], (unit, high - low))]
+            panels.append(_residuals(time, t, [(one, one.values[here]) for one in residuals],
+                                     (unit, high - low)))
         return fig.Figure(tuple(panels), f"{name} against time, {part.words}: "
                           + ", ".join(one.label for one in signals),
                           (2.0, 1.0)[:len(panels)],
@@ -473,8 +473,7 @@ def innovation_block(estimate: Estimate, stage: StageResult) -> fig.Block:
     key, title = f"innovations-{stage.stage}", f"Innovations of stage {stage.stage}"
     z = whitened(stage.innovation, stage.innovation_stddev)
     z = np.where(np.isfinite(z), z, np.nan)
-    count = int(np.isfinite(z).sum())
-    if not count:
+    if not (count := int(np.isfinite(z).sum())):
         return fig.Block(key, title, notes=(
             f"Stage {stage.stage} had no data, so there are no innovations to judge.",))
     colour = fig.STAGE_ONE if stage.stage == "one" else fig.STAGE_TWO
@@ -510,8 +509,7 @@ def _innovations(stage: StageResult, z: np.ndarray, colour: str) -> fig.Figure:
     t, time = stage.time, _time_side(stage.time, _WHOLE, "whole record")
     half, peak = traces.robust_peak(z)
     half = max(4.5, 1.05 * half)
-    top = fig.Panel(replace(time, name="", note=""), fig.Side("innovation / its σ",
-                                                              limits=(-half, half)))
+    top = fig.Panel(time, fig.Side("innovation / its σ", limits=(-half, half)))
     top.signal(t, z, "innovation / its σ", colour, width=0.8, legend=False)
     top.add(fig.Level(-2.0, dash="dash"),
             fig.Level(2.0, "±2: 95 % should lie within", dash="dash"))

@@ -243,6 +243,12 @@ class Figure:
     on_time: bool = False
     stretch: str = ""
 
+    def __post_init__(self):
+        if self.shared:  # the axis is named below the last
+            object.__setattr__(self, "panels", tuple(
+                replace(panel, x=replace(panel.x, name="", note="")) for panel in self.panels[:-1]
+                ) + self.panels[-1:])
+
 
 # What of each kind lies along x, and along y.
 _ALONG = {Curve: (("x", "x_error"), ("y", "y_error")), Band: (("x",), ("low", "high")),
