@@ -38,7 +38,7 @@ def write_config_option(words: str) -> Callable:
 class Several(click.Command):
     """A command with options that take all words up to the next option: ``--reference A B C``."""
 
-    several: tuple[str, ...] = ("--reference", "--without")
+    several = ("--reference", "--without", "--from")
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """Give each further word the option's name again, as click takes them."""

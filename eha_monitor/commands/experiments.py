@@ -5,7 +5,6 @@ the key, and scores the diagnosis.
 """
 
 import shlex
-from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -51,7 +50,9 @@ def identify(ros_args: list[str], config: Path | None, simulated: Path | None, o
     actuator. A motion is aborted at a limit, by the service identify/stop, and where data stop.
     """
     from eha_monitor.api.config import config_of
+    from eha_monitor.api.read import checked
     from eha_monitor.identify.experiment import SimulatedRig, bounds_of
+    from eha_monitor.identify.experiment import identify as rounds_of
     from eha_monitor.identify.plan import Planner
     from eha_monitor.quantity import rig_motion
 
@@ -73,9 +74,13 @@ def identify(ros_args: list[str], config: Path | None, simulated: Path | None, o
                         if value is not None)])
 
     def experiment(rig: "Rig") -> str:
+        rounds: list[Round] = []
         with rig_motion(given.settings.rig.motion):  # of this thread
-            rounds = run(rig, planner, lambda one, count: written(
-                one, count, out, given.settings, overwrite))
+            with common.progress_bar() as told:
+                for one in rounds_of(rig, planner, lambda recording: checked(
+                        [recording], given.settings), told):
+                    rounds.append(one)
+                    written(one, len(rounds), out, given.settings, overwrite)
             return finish(rounds, planner, out, command,
                           (json_file, report_file, config_file), config)
 
@@ -87,20 +92,6 @@ def identify(ros_args: list[str], config: Path | None, simulated: Path | None, o
             given.settings, bounds, ros_args, wait, (out, overwrite), experiment)
     if aborted:
         raise InputError(aborted)
-
-
-def run(rig: "Rig", planner: "Planner", each: Callable[["Round", int], None]) -> list["Round"]:
-    """Run the experiment; ``each`` is told every round as it comes."""
-    from eha_monitor.api.read import checked
-    from eha_monitor.identify.experiment import identify as rounds_of
-
-    rounds = []
-    with common.progress_bar() as told:
-        for one in rounds_of(rig, planner, lambda recording: checked(
-                [recording], planner.settings), told):
-            rounds.append(one)
-            each(one, len(rounds))
-    return rounds
 
 
 def written(one: "Round", count: int, out: Path, settings: "Settings", overwrite: bool) -> None:

@@ -14,13 +14,7 @@ FEW = 5  # recordings; with fewer a spread is hardly known
 SCHEMA = "eha_monitor/thresholds/1"
 
 
-class _From(common.Several):
-    """Takes all words behind ``--from``."""
-
-    several = ("--from",)
-
-
-@click.command(cls=_From)
+@click.command(cls=common.Several)
 @click.option("--from", "bags", required=True, multiple=True, type=common.FILE,
               metavar="HEALTHY ...", help="Recordings of the healthy machine, five or more.")
 @common.config_option
