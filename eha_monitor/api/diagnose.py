@@ -377,11 +377,7 @@ class Diagnosis(Record, Found):
 
 
 def known_effects(names: str | Sequence[str], option: str) -> tuple[str, ...]:
-    """Return effects by name, each of them of the catalogue.
-
-    Parameters
-    ----------
-    option : what the caller calls them.
+    """Return effects by name, each of them of the catalogue; the caller calls them ``option``.
 
     Raises
     ------

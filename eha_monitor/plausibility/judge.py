@@ -304,8 +304,7 @@ def correction_of(mistake: Mistake, settings: Settings) -> dict[str, Any]:
             if settings.table.columns else {}
     found: dict[str, Any] = {}
     for role, factor in mistake.factors.items():
-        channel = settings.channels.get(role)
-        if channel is not None:
+        if channel := settings.channels.get(role):
             found.setdefault("channels", {})[role] = {
                 **({"unit": ""} if channel.unit else {}),
                 "scale": rounded(channel.gain * factor),

@@ -138,8 +138,7 @@ def swept(c: list[list[float]]) -> None:
             continue
         row = c[p]
         for i in range(p):
-            f = c[i][p] / pivot
-            if f:
+            if f := c[i][p] / pivot:
                 line = c[i]
                 for j in range(p):
                     line[j] -= f * row[j]
