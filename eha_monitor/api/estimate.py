@@ -259,7 +259,7 @@ class Estimate(Record, Found):
 
     def _parameters(self) -> "pandas.DataFrame":
         return frame_of(({"parameter": p.name, "estimator": estimator} | _parameter(p)
-                         for estimator, p in self._rows()),
+                         for estimator, p in by_estimator(self)),
                         ("parameter", "estimator", "value", "stddev", "unit", "status",
                          "message"), "parameter")
 
@@ -273,16 +273,9 @@ class Estimate(Record, Found):
                 columns[column] = pandas.Series(values, index, dtype=float)
         return pandas.DataFrame(columns).rename_axis("time_s")
 
-    def _rows(self) -> list[tuple[str, ParameterEstimate]]:
-        """Return every parameter with the estimator that it is of."""
-        rows = [(f"stage {stage.stage}", stage.estimate)
-                for stage in (self.stage_one, self.stage_two)]
-        return rows + ([] if self.joint is None else [
-            ("joint", parameter) for parameter in self.joint.parameters.values()])
-
     def _short(self):
         rows = [[estimator, SYMBOLS.get(p.name, p.name), p.shown, p.status]
-                for estimator, p in self._rows()]
+                for estimator, p in by_estimator(self)]
         rows += [["alarm", alarm.name, alarm.message, alarm.word] for alarm in self.alarms
                  if alarm.level != "OK"]
         return (self.recording.source or "recording",
@@ -290,6 +283,13 @@ class Estimate(Record, Found):
                 ("estimator", "parameter", "value", "status"), rows,
                 tuple(f"lost: {loss}" for loss in self.recording.losses)
                 + tuple(f"note: {warning}" for warning in self.warnings))
+
+
+def by_estimator(found: Found) -> list[tuple[str, ParameterEstimate]]:
+    """Return every parameter with the estimator that it is of."""
+    return [*((f"stage {stage.stage}", stage.estimate)
+              for stage in (found.stage_one, found.stage_two)),
+            *(("joint", one) for one in (found.joint.parameters.values() if found.joint else ()))]
 
 
 def refuse_short(recording: InnerRecording) -> None:

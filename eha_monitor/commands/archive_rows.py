@@ -314,7 +314,7 @@ def show(rows: Sequence[dict], command: str, settings: Settings, made_with: str,
     """Print what was done, which recordings need a look, and the trends."""
     from rich.markup import escape
 
-    from eha_monitor.commands.table import COLOURS, console, print_end, table
+    from eha_monitor.commands.table import coloured, console, print_end, table
     from eha_monitor.quantity import NOTE
     from eha_monitor.reports import archive_report as report
 
@@ -329,10 +329,8 @@ def show(rows: Sequence[dict], command: str, settings: Settings, made_with: str,
     if looked := [row for row in newest if row.get("error") or unhealthy(row)]:
         shown = table("recording", "start", "alarm", "why")
         for row in looked[:MOST]:
-            level = row.get("alarm") or ""
-            colour = COLOURS.get(level)
             shown.add_row(escape(row["bag"]), (row.get("start") or "–")[:16].replace("T", " "),
-                          f"[{colour}]{level}[/]" if colour else level, escape(_why(row)))
+                          coloured(row.get("alarm") or ""), escape(_why(row)))
         to.print(shown)
         if len(looked) > MOST:
             to.print(f"and {len(looked) - MOST} more")

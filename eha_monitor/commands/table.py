@@ -10,6 +10,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from eha_monitor.api.estimate import by_estimator
 from eha_monitor.balances.baseline import Baseline, baseline
 from eha_monitor.balances.baseline import sentence as baseline_sentence
 from eha_monitor.estimation.results import Estimate
@@ -94,7 +95,7 @@ def show(found: Estimate, alarms: tuple[Alarm, ...], written: list[Path],
             to.print(escape(parameter.message))
     show_indicators(to, indicators, found.settings)
     to.print(_alarms(alarms))
-    to.print(f"model: {_coloured(found.model.status)}: {escape(found.model.message)}")
+    to.print(f"model: {coloured(found.model.status)}: {escape(found.model.message)}")
     if found.model.status == "mismatch":
         first = baseline(recording, found.settings)
         show_baselines(to, (first,))
@@ -123,21 +124,18 @@ def show_baselines(to: Console, baselines: Sequence[Baseline]) -> None:
             to.print(escape(f"least squares, {balance}{of}: {said}"))
 
 
-def _coloured(word: str) -> str:
+def coloured(word: str) -> str:
+    """Return a level or a status in its colour, as markup."""
     colour = COLOURS.get(word)
     return f"[{colour}]{word}[/]" if colour else word
 
 
 def _estimated(found: Estimate) -> Table:
     shown = table("estimator", "parameter", "value", "status")
-    rows = [(f"stage {stage.stage}", stage.estimate)
-            for stage in (found.stage_one, found.stage_two)]
-    if found.joint is not None:
-        rows += [("joint", parameter) for parameter in found.joint.parameters.values()]
-    for estimator, p in rows:
+    for estimator, p in by_estimator(found):
         # What must not be used does not speak like what may.
         value = p.shown if p.status == "converged" or p.shown == "—" else f"[dim]({p.shown})[/]"
-        status = _coloured(p.status)
+        status = coloured(p.status)
         doubted = found.joint_doubt if estimator == "joint" else p.name in found.model.tainted
         if p.status == "converged" and doubted:
             value, status = f"[dim]({p.shown})[/]", "converged, [yellow]in doubt[/]"
@@ -156,7 +154,7 @@ def _estimated(found: Estimate) -> Table:
 def _alarms(alarms: tuple[Alarm, ...]) -> Table:
     shown = table("alarm", "level", "since", "why")
     for alarm in alarms:
-        word = "[dim]–[/]" if alarm.message == NO_LIMIT else _coloured(alarm.word)
+        word = "[dim]–[/]" if alarm.message == NO_LIMIT else coloured(alarm.word)
         shown.add_row(alarm.name, word, f"{alarm.time_s:.2f} s", escape(alarm.message))
     return shown
 
