@@ -37,7 +37,7 @@ GROUNDS = {
 def main() -> int:
     """Run the trial on a ground and print what was found."""
     from eha_monitor.commands.common import progress_bar
-    from eha_monitor.commands.prove import summary
+    from eha_monitor.commands.experiments import summary
 
     options = record.options(__doc__)
     options.add_argument("ground", choices=sorted(GROUNDS))

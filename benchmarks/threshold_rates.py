@@ -21,7 +21,7 @@ import record
 from rich.console import Console
 from rich.table import Table
 
-from eha_monitor.api.answer import series_of
+from eha_monitor.api.estimate import series_of
 from eha_monitor.estimation.pipeline import estimate
 from eha_monitor.health.proposal import Healthy, healthy_of, proposed, thresholds_tree
 from eha_monitor.health.alarms import judge_series

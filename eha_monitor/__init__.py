@@ -36,19 +36,10 @@ if TYPE_CHECKING:
 # Name -> module that has it.  They are imported when they are first used: what the commands and
 # the nodes import of this package must stay quick.
 _PLACES = {
-    "Advice": "api.advise",
-    "Config": "api.config",
-    "Diagnosis": "api.diagnose",
-    "Estimate": "api.estimate",
-    "ImplausibleError": "api.read",
-    "InputError": "errors",
-    "Recording": "api.recording",
-    "advise": "api.advise",
-    "diagnose": "api.diagnose",
-    "estimate": "api.estimate",
-    "read": "api.read",
-    "simulate": "api.simulate",
-}
+    "Advice": "api.advise", "Config": "api.config", "Diagnosis": "api.diagnose",
+    "Estimate": "api.estimate", "ImplausibleError": "api.read", "InputError": "errors",
+    "Recording": "api.recording", "advise": "api.advise", "diagnose": "api.diagnose",
+    "estimate": "api.estimate", "read": "api.read", "simulate": "api.simulate"}
 
 __all__ = [  # noqa: RUF022  in the order of the reference
     "read", "simulate", "estimate", "diagnose", "advise", "Config", "Recording", "Estimate",

@@ -13,14 +13,11 @@ import traceback
 import click
 
 from eha_monitor import __version__
-from eha_monitor.commands.advise import advise
-from eha_monitor.commands.diagnose import diagnose
-from eha_monitor.commands.estimate import estimate
+from eha_monitor.commands.answers import advise, diagnose, estimate
+from eha_monitor.commands.experiments import identify, prove
 from eha_monitor.commands.files import config, export, import_table, simulate
-from eha_monitor.commands.identify import identify
 from eha_monitor.commands.init import init
 from eha_monitor.commands.live import dashboard, monitor, record, replay, simulator
-from eha_monitor.commands.prove import prove
 from eha_monitor.commands.thresholds import thresholds
 from eha_monitor.errors import InputError, refused
 
@@ -60,7 +57,9 @@ for _command in (init, simulator, monitor, dashboard, replay, record, simulate, 
 def main(arguments: list[str] | None = None) -> int:
     """Run one command and return its exit status; ``sys.argv`` is read by default."""
     arguments = list(sys.argv[1:] if arguments is None else arguments)
-    own, ros_args = _split(arguments)
+    # What is ours, and what is ROS's: everything from --ros-args on.
+    place = arguments.index("--ros-args") if "--ros-args" in arguments else len(arguments)
+    own, ros_args = arguments[:place], arguments[place:]
     for stream in (sys.stdout, sys.stderr):
         # Names of files may hold bytes that are no text, and not every terminal has a ±.
         if isinstance(stream, io.TextIOWrapper):
@@ -91,14 +90,6 @@ def main(arguments: list[str] | None = None) -> int:
     except Exception:  # noqa: BLE001  shown in full, with a status that no answer has
         traceback.print_exc()
         return DEFECT
-
-
-def _split(arguments: list[str]) -> tuple[list[str], list[str]]:
-    """Return what is ours and what is ROS's: everything from ``--ros-args`` on."""
-    if "--ros-args" not in arguments:
-        return arguments, []
-    place = arguments.index("--ros-args")
-    return arguments[:place], arguments[place:]
 
 
 def _usage(problem: click.ClickException) -> str:

@@ -44,11 +44,7 @@ def compile_lines(places: Sequence[int]) -> None:
 
 
 def compile_all(processes: int, only: Collection[tuple[str, str]] = ()) -> None:
-    """Compile the list in so many processes, the longest first.
-
-    Parameters
-    ----------
-    only : (module, function) of those that are compiled; all if there are none.
+    """Compile the list, or ``only`` these (module, function), in so many processes.
 
     Raises
     ------

@@ -123,13 +123,7 @@ PACKAGE = Path(__file__).parent
 
 
 def source_digest(rooms: Iterable[str], counts: Callable[[Path], bool] = lambda path: True) -> str:
-    """Return a digest of the source files of some rooms, those that count.
-
-    Parameters
-    ----------
-    rooms : folders, or single files, of the package.
-    counts : whether a file has a part in the answer.
-    """
+    """Return a digest of the source files of some rooms (folders, or single files) that count."""
     digest = hashlib.sha256()
     for room in rooms:
         place = PACKAGE / room

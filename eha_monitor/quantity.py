@@ -127,8 +127,7 @@ def _linear(size: float, unit: str) -> Scale:
     if not 1e-18 <= size < 1e13:
         return Scale(1.0, unit)
     if unit in _OTHER:
-        return next(Scale(factor, shown) for shown, factor, start in _OTHER[unit]
-                    if size >= start)
+        return next(Scale(factor, shown) for shown, factor, start in _OTHER[unit] if size >= start)
     if unit in _PREFIXED and size >= 1e-12:
         prefix = next(prefix for prefix, start in _PREFIXED[unit] if size >= start)
         return Scale(1.0 / _POWER[prefix], prefix + unit)

@@ -22,11 +22,8 @@ def best(items: Iterable[Item], score: Callable[[Item], float],
          plain: Callable[[Item], object] | None = None, within: float = 0.0) -> Item:
     """Return the plainest of the items whose score is equal to the highest.
 
-    Parameters
-    ----------
-    score : the higher the better; NaN is the lowest.
-    plain : key that is smallest for the plainest.
-    within : difference of scores that counts as none, beside round-off.
+    NaN is the lowest ``score``; the key ``plain`` is smallest for the plainest; a difference of
+    scores ``within`` counts as none, beside round-off.
     """
     return ordered(items, score, plain, within)[0]
 

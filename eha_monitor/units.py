@@ -47,8 +47,7 @@ def to_si(value: Any, unit: str, absolute: bool = False) -> Any:
     if not isinstance(value, str):
         return value
     if _COMMA.search(value):  # pint drops it: 85,5 would be 855
-        raise PydanticCustomError(
-            "comma", f"expected a decimal point, such as '85.5 {unit}'")
+        raise PydanticCustomError("comma", f"expected a decimal point, such as '85.5 {unit}'")
     import pint  # slow to import, and needed only where a config writes units
 
     registry = pint.get_application_registry()
@@ -82,8 +81,7 @@ def Si(unit: str, description: str, *, optional: bool = False, absolute: bool = 
         # The bounds come before the validator: so pydantic asks them of a number, not of None.
         Field(description=description, allow_inf_nan=False,
               json_schema_extra=extra, **bounds),
-        BeforeValidator(lambda value, info: to_si(value, _of_motion(unit, info), absolute)),
-    ]
+        BeforeValidator(lambda value, info: to_si(value, _of_motion(unit, info), absolute))]
 
 
 def _of_motion(unit: str, info: ValidationInfo) -> str:
@@ -150,12 +148,9 @@ def plain(unit: str) -> str:
 
 
 def lost_units(tree: dict, section_at) -> Iterator[str]:
-    """Yield a line for each number alone that no actuator has.
+    """Yield a line for each number alone in a config, as a person wrote it, that no actuator has.
 
-    Parameters
-    ----------
-    tree : what a person wrote, by section.
-    section_at : path -> the section there, or None.
+    ``section_at`` returns the section at a path, or None.
     """
     rotary = isinstance(tree.get("rig"), dict) and tree["rig"].get("motion") == "rotary"
     for path, value in _numbers(tree, ()):

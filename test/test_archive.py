@@ -15,7 +15,7 @@ from command_tools import refused
 from diagnosis_tools import coulomb, everything
 from test_reports import Page
 
-from eha_monitor.api import diagnosis_answer
+from eha_monitor.api.diagnose import answer as diagnosis_tree
 from eha_monitor.archive.find import find_bags, is_archive, stamp_of
 from eha_monitor.archive.run import DIED, on_this_machine
 from eha_monitor.archive.store import COLUMNS
@@ -282,7 +282,7 @@ def test_a_folder_of_broken_bags_is_bad_input(tmp_path, monkeypatch, capsys):
 
 
 def test_a_row_of_a_diagnosis_holds_what_it_says(tmp_path):
-    tree = diagnosis_answer.answer(coulomb())
+    tree = diagnosis_tree(coulomb())
     row = diagnosis_columns(tree)
     assert row["B_after"] == tree["parameters"]["after"]["B"]["value"]
     assert row["verdict"] == tree["verdict"]
@@ -298,7 +298,7 @@ def test_a_row_of_a_diagnosis_holds_what_it_says(tmp_path):
 
 
 def test_a_row_tells_wrong_numbers_of_the_rig_before_the_effects(tmp_path):
-    tree = diagnosis_answer.answer(everything())
+    tree = diagnosis_tree(everything())
     with Store(tmp_path / "out", "diagnose", tmp_path) as store:
         store.add({"bag": "a", "stamp": "1", "made_with": "2", **diagnosis_columns(tree)})
         store.add({"bag": "old", "stamp": "1", "made_with": "1", "effects": [

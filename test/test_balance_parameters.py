@@ -13,7 +13,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from machine_tools import healthy_machine
 from rig_tools import BETA, CHIRP, MULTISINE, SINE, TRIANGLE, B, settings, simulated, without
 
-from eha_monitor.api.answer import answer, judged, judged_series
+from eha_monitor.api.estimate import answer, judged, judged_series
 from eha_monitor.balances.baseline import baseline
 from eha_monitor.balances.changed import against
 from eha_monitor.balances.course import slope

@@ -210,7 +210,7 @@ def test_the_monitor_asks_its_own_rows(digital):
 @pytest.mark.timeout(400)
 def test_after_write_config_the_promise_holds(tmp_path):
     """The issue: beta_e 680.9 ± 0.24 MPa for 700 after the diagnosis, and a mismatch."""
-    from eha_monitor.api.diagnosis_answer import written_config
+    from eha_monitor.api.diagnose import written_config
     from eha_monitor.mismatch.diagnose import diagnose
     from eha_monitor.settings import load_settings
 

@@ -9,7 +9,7 @@ import pytest
 from diagnosis_tools import ALL, CHARGE, MASS, NAN, coulomb, damping, everything, wrong_number
 from test_reports import Page
 
-from eha_monitor.api.diagnosis_answer import answer, written_config
+from eha_monitor.api.diagnose import answer, written_config
 from eha_monitor.commands.table import show_diagnosis
 from eha_monitor.errors import InputError
 from eha_monitor.mismatch.diagnosis import (
@@ -216,7 +216,7 @@ def test_no_number_breaks_page_table_or_json(number, capsys):
     found = spoilt(everything(), number)
     text = Page(page_of(found)).text
     assert " nan" not in text and "inf" not in text.replace("information", "")
-    show_diagnosis(found, [])
+    show_diagnosis(found, Settings())
     text = json.dumps(answer(found), allow_nan=False)
     assert json.loads(text)["schema"] == "eha_monitor/diagnosis/1"
     assert "coulomb_friction" in capsys.readouterr().out
@@ -323,7 +323,7 @@ def test_config_without_a_name_stays_as_it_was(name, tmp_path):
 
 
 def test_table_for_a_person(capsys, tmp_path):
-    show_diagnosis(ALL["pair"](), [tmp_path / "report.html"])
+    show_diagnosis(ALL["pair"](), Settings(), [tmp_path / "report.html"])
     out = " ".join(capsys.readouterr().out.split())
     for words in ("Mismatch identified (>99 %): The force balance lacks",
                   "coulomb_friction >99 %", "pump_dead_zone 91 %",
@@ -352,7 +352,7 @@ def test_a_wrong_number_of_the_rig_is_read_first(capsys):
                   "It acts at 3.2–5.1, 8.0–9.4, 17.2–21.0 s", "not in it: intermittent load"):
         assert words in page.text, words
     assert page.text.count(CHARGE.statement) == 1  # not again in the message
-    show_diagnosis(everything(), [])
+    show_diagnosis(everything(), Settings())
     lines = capsys.readouterr().out.splitlines()
     assert lines[1].endswith(f"{CHARGE.statement} (99 %)")
     assert lines[3].endswith("mass is indistinguishable from added mass")
@@ -361,7 +361,7 @@ def test_a_wrong_number_of_the_rig_is_read_first(capsys):
 
 
 def test_a_wrong_number_alone_is_the_whole_answer(capsys):
-    show_diagnosis(wrong_number(), [])
+    show_diagnosis(wrong_number(), Settings())
     out = capsys.readouterr().out
     assert "Wrong rig data explain the mismatch; no effect is missing (98 %)\n" in out
     assert "left out  " not in out  # no empty table of effects
@@ -433,7 +433,7 @@ def test_a_rig_that_turns_has_newton_metres_everywhere(capsys):
         assert quantity(0.0, "m") == "0 rad" and quantity(5e-4, "m²") == "5 cm²·m/rad"
     assert quantity(7.0, "m") == "7 m"
     assert turned.bags == found.bags and turned.config_effects == found.config_effects
-    show_diagnosis(turned, [])
+    show_diagnosis(turned, Settings())
     table = " ".join(capsys.readouterr().out.split())
     rotary = settings_from_tree({"rig": {"motion": "rotary"}}, "x")
     page = Page(diagnosis_page(turned, rotary)).text
@@ -519,7 +519,7 @@ def test_what_stands_against_a_channel_is_said_before_the_verdict(capsys):
     held = ChannelFinding("the drive holds its command", "hold", ("x_d",),
                           {"command_hold": "sampled"})
     found = replace(coulomb(), channels=(held, dead))
-    show_diagnosis(found, [])
+    show_diagnosis(found, Settings())
     out = capsys.readouterr().out
     assert "channel: p1 is 8 bar in the whole recording." in out[: out.index("Mismatch")]
     assert "holds its command" not in out  # the command adds it as a note

@@ -8,7 +8,7 @@ import pytest
 from rig_tools import settings, simulated
 from ruamel.yaml import YAML
 
-from eha_monitor.api.diagnosis_answer import answer, written_config
+from eha_monitor.api.diagnose import answer, written_config
 from eha_monitor.errors import InputError
 from eha_monitor.mismatch.diagnose import diagnose
 from eha_monitor.mismatch.learn.validated import starts_of

@@ -8,7 +8,7 @@ import pytest
 from diagnosis_tools import coulomb
 from ruamel.yaml import YAML
 
-from eha_monitor.api.diagnosis_answer import answer, written_config
+from eha_monitor.api.diagnose import answer, written_config
 from eha_monitor.mismatch.diagnosis import LearnedTerm, SignalFit
 from eha_monitor.mismatch.learn.formula import (
     FACTORS,

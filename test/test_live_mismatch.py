@@ -5,7 +5,7 @@ from machine_tools import A_1, A_2, stranger
 from rig_tools import BETA, CHIRP, MULTISINE, SINE, TRIANGLE, settings, simulated
 from test_live_estimator import Stream, rows_of
 
-from eha_monitor.api.answer import answer, judged
+from eha_monitor.api.estimate import answer, judged
 from eha_monitor.estimation.pipeline import estimate
 from eha_monitor.health.alarms import AlarmBoard
 

@@ -7,7 +7,7 @@ import pytest
 from rig_tools import MULTISINE, SINE, TRIANGLE, fed, settings, simulated
 from test_live_estimator import Stream, rows_of
 
-from eha_monitor.api.answer import judged
+from eha_monitor.api.estimate import judged
 from eha_monitor.estimation.pipeline import estimate
 from eha_monitor.health.alarms import AlarmBoard
 from eha_monitor.live.estimator import LiveEstimator

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from mcap.reader import make_reader
 from rig_tools import SINE, TRIANGLE, copies, settings, simulated
 
-from eha_monitor.api.answer import judged
+from eha_monitor.api.estimate import judged
 from eha_monitor.estimation.joint import observability
 from eha_monitor.estimation.pipeline import estimate_held
 from eha_monitor.mismatch.data.experiment import experiment_of

@@ -23,7 +23,7 @@ from eha_monitor.balances.policy import POLICY
 from eha_monitor.balances.table import tables_of
 from eha_monitor.balances.together import Recordings, pooled, without
 from eha_monitor.balances.warmth import healthy_at
-from eha_monitor.commands.diagnose import diagnose as command
+from eha_monitor.commands.answers import diagnose as command
 from eha_monitor.errors import InputError
 from eha_monitor.mismatch.compared import compared
 from eha_monitor.recordings.write import write_recording

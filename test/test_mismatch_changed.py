@@ -7,7 +7,7 @@ import pytest
 from mismatch_tools import nominal_fit
 from rig_tools import BETA, SINE, B, settings, simulated
 
-from eha_monitor.api.diagnosis_answer import answer
+from eha_monitor.api.diagnose import answer
 from eha_monitor.mismatch.data.experiment import experiment_of
 from eha_monitor.mismatch.data.inputs import cut
 from eha_monitor.mismatch.diagnose import diagnose

@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 from rig_tools import SINE, settings, simulated
 from ruamel.yaml import YAML
 
-from eha_monitor.api.diagnosis_answer import written_config
+from eha_monitor.api.diagnose import written_config
 from eha_monitor.errors import InputError
 from eha_monitor.estimation.pipeline import estimate
 from eha_monitor.physics import own_term as o

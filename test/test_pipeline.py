@@ -28,7 +28,7 @@ from rig_tools import (
 )
 from scipy.linalg import expm
 
-from eha_monitor.api.answer import judged
+from eha_monitor.api.estimate import judged
 from eha_monitor.estimation.pipeline import estimate
 from eha_monitor.physics import signals as s
 from eha_monitor.recordings.recording import Recording

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from command_tools import refused
 
-from eha_monitor.commands.prove import prove as command
+from eha_monitor.commands.experiments import prove as command
 from eha_monitor.concealed.cases import Case, truth_of
 from eha_monitor.concealed.draws import KINDS
 from eha_monitor.concealed.generate import nominal_config

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from eha_monitor.commands.diagnose import command_line, diagnose
+from eha_monitor.commands.answers import command_line, diagnose
 from eha_monitor.errors import InputError
 from eha_monitor.mismatch.compared import compared
 from eha_monitor.physics.simulator import Simulator

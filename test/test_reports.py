@@ -12,7 +12,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from eha_monitor.api.answer import judged
+from eha_monitor.api.estimate import judged
 from eha_monitor.commands.table import show
 from eha_monitor.errors import InputError
 from eha_monitor.estimation.pipeline import estimate
@@ -166,18 +166,18 @@ def test_numbers_are_those_of_the_estimate(triangle, triangle_html):
 def test_healthy_verdict(triangle, triangle_html):
     said = verdict(triangle.estimate, triangle.alarms)
     assert (said.kind, said.headline) == ("ok", "Healthy")
-    assert said.sentence in Page(triangle_html).text
-    assert "within the limits" in said.sentence
+    assert f"{said.headline}: {said.text}" in Page(triangle_html).text
+    assert "within the limits" in said.text
 
 
 def test_verdict_leads_with_the_gravest(triangle):
     found, alarms = triangle.estimate, list(triangle.alarms)
     wrong = replace(found, model=ModelStatus("mismatch", "m", tainted={"B": Taint("it", 1.0)}))
     assert verdict(wrong, triangle.alarms).headline == "Mismatch"
-    assert "biased by the model error" in verdict(wrong, triangle.alarms).sentence
+    assert "biased by the model error" in verdict(wrong, triangle.alarms).text
     alarms[0] = replace(alarms[0], level="ERROR")
     assert verdict(found, alarms).headline == "Alarm"
-    assert "viscous damping B is too high (ERROR)" in verdict(found, alarms).sentence
+    assert "viscous damping B is too high (ERROR)" in verdict(found, alarms).text
     assert verdict(wrong, alarms).headline == "Alarm and mismatch"
     alarms[0] = replace(alarms[0], level="WARN")
     assert verdict(found, alarms).kind == "warn"
@@ -185,14 +185,14 @@ def test_verdict_leads_with_the_gravest(triangle):
         found.stage_two.estimate, status="not_excited")))
     assert verdict(silent, triangle.alarms).headline == "No fault found in what could be judged"
     assert "no estimate of effective bulk modulus" in verdict(
-        silent, triangle.alarms).sentence
+        silent, triangle.alarms).text
 
 
 def test_what_is_not_judged_is_not_within_the_limits(triangle):
     alarms = [replace(alarm, level="STALE", not_judged=True)
               if alarm.name.startswith("viscous") else alarm for alarm in triangle.alarms]
     said = verdict(triangle.estimate, tuple(alarms))
-    assert "N·s/m is not judged" in said.sentence and "MPa is within the limits" in said.sentence
+    assert "N·s/m is not judged" in said.text and "MPa is within the limits" in said.text
     assert said.headline == "No fault found in what could be judged" and said.kind != "ok"
     text = Page(estimate_page(triangle.estimate, tuple(alarms), tuple(alarms), None)).text
     assert "not judged" in text
@@ -206,7 +206,7 @@ def test_the_page_says_what_stands_instead_of_a_value_in_doubt(triangle):
     assert effect_of_mismatch(wrong) == (
         "B of the filter is not used: 777 ± 7 N·s/m by least squares on the force balance, which "
         "the alarms judge.", "βe of the filter cannot be used.")
-    said = verdict(wrong, triangle.alarms).sentence
+    said = verdict(wrong, triangle.alarms).text
     assert "so βe is biased by the model error; B by least squares on the balances instead" in said
     assert "777 ± 7" in Page(estimate_page(wrong, triangle.alarms, (), None)).text
 

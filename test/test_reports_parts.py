@@ -7,7 +7,7 @@ from eha_monitor.estimation.results import Event
 from eha_monitor.health.alarms import NO_LIMIT, Alarm
 from eha_monitor.reports.estimate_report import _alarm_table
 from eha_monitor.reports.figure import time_scale
-from eha_monitor.reports.timeline import alarm_timeline, interval_timeline, spans
+from eha_monitor.reports.page import alarm_timeline, interval_timeline, spans
 from eha_monitor.reports.traces import (
     Smoother,
     autocorrelation,
@@ -75,7 +75,7 @@ def test_smoothing_alike_sees_what_a_slow_channel_saw():
     v = np.cos(60 * t)  # nearly too fast for one sample in ten
     x = np.where(np.arange(6000) % 10 == 0, np.sin(60 * t) / 60, np.nan)
     smoother = choose_smoother(x, 1e-3, 1)
-    assert smoother.length >= 0.07
+    assert smoother.window * smoother.dt >= 0.07
     assert np.nanmax(np.abs(smoother.of(x) - smoother.alike(v, x))) < 0.02
 
 

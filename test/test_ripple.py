@@ -7,7 +7,7 @@ import pytest
 from mismatch_tools import diagnosed
 from rig_tools import SINE, settings, simulated
 
-from eha_monitor.api.diagnosis_answer import answer
+from eha_monitor.api.diagnose import answer
 from eha_monitor.estimation.modelled import contributions_along
 from eha_monitor.estimation.pipeline import estimate
 from eha_monitor.mismatch.data.experiment import experiment_of

@@ -7,7 +7,7 @@ from ros_tools import PATIENCE, command, end
 from test_live_offline import BAG, raised
 from watch import Watcher
 
-from eha_monitor.api.answer import judged
+from eha_monitor.api.estimate import judged
 from eha_monitor.estimation.pipeline import estimate
 from eha_monitor.recordings.read import read_recording
 

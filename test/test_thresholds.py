@@ -9,7 +9,7 @@ from command_tools import refused
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from eha_monitor.api.answer import series_of
+from eha_monitor.api.estimate import series_of
 from eha_monitor.cli import main
 from eha_monitor.estimation.pipeline import estimate
 from eha_monitor.estimation.results import ParameterEstimate

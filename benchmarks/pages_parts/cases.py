@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from eha_monitor.api.answer import judged
+from eha_monitor.api.estimate import judged
 from eha_monitor.estimation.joint import observability
 from eha_monitor.estimation.pipeline import estimate
 from eha_monitor.mismatch.compared import compared

@@ -167,16 +167,10 @@ class Advice(Record, Found):
                 "duration_s": motion.duration, "excitation": excitation_tree(motion)}
         return finite({
             "schema": SCHEMA, "bag": ", ".join(self.bags), "named": self.named,
-            "advice": self.sentences,
-            "parameters": self.known,
-            "plateaus": self.plateaus,
-            "confusions": self.confusions,
-            "visible_from": self.detection_limits,
-            "groups": self.groups,
-            "doubts": self.doubts,
-            "motion": shown,
-            "considered": self._considered(),
-            "checks": self.checks,
+            "advice": self.sentences, "parameters": self.known, "plateaus": self.plateaus,
+            "confusions": self.confusions, "visible_from": self.detection_limits,
+            "groups": self.groups, "doubts": self.doubts, "motion": shown,
+            "considered": self._considered(), "checks": self.checks,
             "channels": finding_tree(self.channels)})
 
     def to_frame(self, table: str = "visible_from") -> "pandas.DataFrame":

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 
 from eha_monitor.errors import InputError, refused
-from eha_monitor.progress import Report
+from eha_monitor.progress import Report, silent
 
 if TYPE_CHECKING:
     import pandas
@@ -44,17 +44,11 @@ def calling() -> Iterator[None]:
 def reporter(progress: Progress) -> Report:
     """Return what a calculation reports its progress to: (text, share from 0 to 1).
 
-    Parameters
-    ----------
-    progress : False: nobody; True: a line on the standard error; or a function of one's own.
+    That is nobody (False), a line on the standard error (True), or a function of one's own.
     """
     if callable(progress):
         return progress
-    return _line if progress else _nobody
-
-
-def _nobody(text: str, share: float) -> None:
-    pass
+    return _line if progress else silent
 
 
 def _line(text: str, share: float) -> None:
@@ -68,8 +62,7 @@ def _after_fork() -> None:
     """Forget what a forked process has not got: the other threads, and what they hold."""
     global _one
     _one = threading.RLock()
-    fit = sys.modules.get("eha_monitor.mismatch.likelihood.fit")
-    if fit is not None:
+    if fit := sys.modules.get("eha_monitor.mismatch.likelihood.fit"):
         fit.workers.cache_clear()
 
 
@@ -171,11 +164,7 @@ def frame_of(rows: Iterable[Mapping[str, Any]], columns: Sequence[str], index: s
 
 
 def chosen(what: Any, makers: Mapping[str, Callable], name: str) -> Callable:
-    """Return the maker of a table or picture by its name.
-
-    Parameters
-    ----------
-    name : of the argument, for the error.
+    """Return the maker of a table or picture by its name; ``name`` is the argument's.
 
     Raises
     ------

@@ -1,14 +1,16 @@
 """``diagnose`` in Python: which physics the model left out, where, and the proof."""
 
+import math
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from textwrap import wrap
 from typing import TYPE_CHECKING, Any
 
+from eha_monitor import __version__
 from eha_monitor.api.common import READING, Progress, Record, calling, chosen, frame_of, reporter
 from eha_monitor.api.config import Config, path_of
-from eha_monitor.api.diagnosis_answer import answer, completed
 from eha_monitor.api.read import (
     Given,
     Several,
@@ -19,23 +21,27 @@ from eha_monitor.api.read import (
     recordings_of,
     several,
 )
-from eha_monitor.api.recording import Recording
 from eha_monitor.archive.find import find_bags, is_archive
 from eha_monitor.balances.machine import load
 from eha_monitor.compiled import load_runtime
 from eha_monitor.errors import InputError
-from eha_monitor.indicators.assemble import of_diagnosis
+from eha_monitor.indicators.assemble import evidence_of_diagnosis, indicators
 from eha_monitor.indicators.indicator import Indicator
 from eha_monitor.mismatch.compared import beside, compared
 from eha_monitor.mismatch.diagnose import diagnose as run
-from eha_monitor.mismatch.diagnosis import Change
+from eha_monitor.mismatch.diagnosis import Change, LearnedTerm, NamedEffect
 from eha_monitor.mismatch.diagnosis import Diagnosis as Found
 from eha_monitor.output import finite, write_text
 from eha_monitor.physics.effects import CATALOGUE
-from eha_monitor.quantity import SYMBOLS, in_units, rig_motion
-from eha_monitor.reports.diagnosis_words import channels_in_parts, probability, value_words
+from eha_monitor.quantity import NOTE, SYMBOLS, in_units, rig_motion, with_uncertainty
+from eha_monitor.reports import diagnosis_words as words
 from eha_monitor.settings.hypothesis import Hypothesis, hypothesis_of, load_hypothesis
-from eha_monitor.words import effect_words, listed
+from eha_monitor.settings.load import annotated, settings_from_tree
+from eha_monitor.settings.monitor import Settings
+from eha_monitor.settings.own_terms import is_own
+from eha_monitor.settings.rig import corrected, rounded
+from eha_monitor.units import LARGEST
+from eha_monitor.words import effect_words, listed, probability
 
 if TYPE_CHECKING:
     import pandas
@@ -112,7 +118,9 @@ def diagnose(recordings: Several, config: Config | str | os.PathLike | dict | No
         given, config = several(recordings, "recordings"), config_for(
             recordings, config, "recordings")
         none = not references if isinstance(references, (list, tuple)) else references is None
-        healthy = () if none else _unfolded(several(references, "references"))
+        healthy = () if none else tuple(
+            bag for one in several(references, "references")
+            for bag in (bags_of(one) if isinstance(one, Path) else (one,)))
         unseen = several(held_out, "held_out") if held_out is not None else ()
         if len(unseen) > 1:
             raise InputError(f"held_out: expected one recording, got {len(unseen)}")
@@ -154,7 +162,8 @@ def diagnose(recordings: Several, config: Config | str | os.PathLike | dict | No
         say("diagnosed", 1.0)
     return Diagnosis(**vars(found) | {"channels": (*channels, *found.channels)}, config=config,
                      losses=tuple(f"{one.source}: {loss}" for one in read for loss in one.losses),
-                     indicators=of_diagnosis(found, read, config.settings))
+                     indicators=indicators(evidence_of_diagnosis(found, read, config.settings),
+                                           config.settings))
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
@@ -266,7 +275,7 @@ class Diagnosis(Record, Found):
                                        _VALUE, "name"),
             "rig_data": lambda: frame_of((asdict(one) | asdict(one.found)
                                           for one in self.rig_data), _RIG, "key"),
-            "changes": lambda: frame_of(map(_change, self.changes), _CHANGE, "what"),
+            "changes": lambda: frame_of(map(_change_row, self.changes), _CHANGE, "what"),
             "parameters": lambda: frame_of((
                 {"when": when, "parameter": name} | asdict(value)
                 for when, values in (("before", self.before), ("after", self.after))
@@ -347,32 +356,28 @@ class Diagnosis(Record, Found):
         with calling():
             place = path_of(path, "a file to write")
             write_text(place, diagnosis_page(self, self.config.settings, [
-                *self.losses, *channels_in_parts(self)[1]], command,
+                *self.losses, *words.channels_in_parts(self)[1]], command,
                 self.indicators))
             return place
 
     def _short(self):
         rows = [[effect_words(effect.name), probability(effect.probability), effect.size,
-                 ", ".join(f"{symbol} = {value_words(value)}"
-                           for symbol, value in effect.parameters.items())]
+                 _sizes(effect)]
                 for effect in self.effects]
         rows += [[f"rig.{one.key}", probability(one.probability), "", one.statement]
                  for one in self.rig_data]
         rows += [["learned", "", term.size, term.statement] for term in self.learned]
         rows += [["changed", "", one.what, one.statement] for one in self.changes]
         rows += [[f"{SYMBOLS.get(name, name)}, before → after", "", "",
-                  f"{value_words(self.before.get(name))} → {value_words(self.after.get(name))}"]
+                  " → ".join(words.value_words(values.get(name))
+                             for values in (self.before, self.after))]
                  for name in dict.fromkeys((*self.before, *self.after))]
         return (f"{listed(self.bags)}: {self.verdict}", self.message,
                 ("what", "probability", "size", "numbers"), rows, self.health)
 
 
 def known_effects(names: str | Sequence[str], option: str) -> tuple[str, ...]:
-    """Return effects by name, each of them of the catalogue.
-
-    Parameters
-    ----------
-    option : what the caller calls them.
+    """Return effects by name, each of them of the catalogue; the caller calls them ``option``.
 
     Raises
     ------
@@ -380,19 +385,10 @@ def known_effects(names: str | Sequence[str], option: str) -> tuple[str, ...]:
         Naming the first that is none.
     """
     names = (names,) if isinstance(names, str) else tuple(names)
-    unknown = [name for name in names if name not in CATALOGUE]
-    if unknown:
+    if unknown := [name for name in names if name not in CATALOGUE]:
         raise InputError(f"{option}: {unknown[0]}: expected an effect of the catalogue, "
                          f"e.g. {', '.join(sorted(CATALOGUE)[:3])}")
     return names
-
-
-def _unfolded(references: Sequence[Recording | Path]) -> tuple[Recording | Path, ...]:
-    """Return references with the bags of each folder of bags."""
-    found: list[Recording | Path] = []
-    for one in references:
-        found += bags_of(one) if isinstance(one, Path) else [one]
-    return tuple(found)
 
 
 def bags_of(path: Path) -> list[Path]:
@@ -409,7 +405,171 @@ def _hypothesis(given: Any) -> Hypothesis | None:
     return load_hypothesis(path_of(given, "a file with a hypothesis, or an installed name"))
 
 
-def _change(change: Change) -> dict[str, Any]:
+def _sizes(effect: NamedEffect) -> str:
+    return ", ".join(f"{name} = {words.value_words(value)}"
+                     for name, value in effect.parameters.items())
+
+
+def _change_row(change: Change) -> dict[str, Any]:
     return finite(change) | {
         "reference": change.reference.value, "reference_stddev": change.reference.stddev,
         "now": change.now.value, "now_stddev": change.now.stddev}
+
+
+# ---- the JSON of the contract, and the config with the named physics ---------------------------
+
+SCHEMA = "eha_monitor/diagnosis/1"
+# Estimated parameter -> key of the rig that holds it.
+RIG_KEYS = {"B": "viscous_damping", "beta_e": "bulk_modulus"}
+# Keys of the answer that are fields of the record.
+AS_THEY_ARE = ("rig_data", "rig_within", "location", "effects", "advice", "message", "bags",
+               "health", "remarks", "agreement", "considered", "curves", "references",
+               "config_effects", "gates", "change_points", "events", "blind", "policy", "named_on",
+               "duration_s", "wall_s")
+_WIDTH = 95  # of the head of a written config
+
+
+def answer(found: Found) -> dict:
+    """Return the JSON tree: the contract's keys, then what extends it.  NaN becomes null."""
+    return finite({
+        "schema": SCHEMA,
+        "bag": ", ".join(found.bags),
+        "verdict": found.verdict,
+        "probability": {key: found.probability.get(key)
+                        for key in ("consistent", "unexplained")},
+        **{key: getattr(found, key) for key in AS_THEY_ARE},
+        "parameters": {"before": found.before, "after": found.after},
+        "fit": {"data": found.data, "signals": found.signals},
+        "learned": [_learned(term) for term in found.learned],
+        "changes": [_change(one) for one in found.changes],
+        # Probabilities took their place; programs that read them find the keys.
+        "threshold": {"log_units": None, "calibrated": False},
+        "explained": None,
+        "baseline": [one.to_dict() for one in found.baselines],
+        "pieces": [{"bag": piece.bag, "start_s": piece.start_s, "stop_s": piece.stop_s,
+                    "parameters": piece.values} for piece in found.pieces],
+    } | ({"machine": found.machine.to_dict()} if found.machine is not None else {}))
+
+
+def refusal(bags: tuple[Path, ...], message: str, channels: list[dict]) -> dict:
+    """Return the JSON tree of recordings that contradict their config; nothing is diagnosed."""
+    return {
+        "schema": SCHEMA, "bag": ", ".join(map(str, bags)), "verdict": "insufficient_data",
+        "probability": {"consistent": None, "unexplained": None}, "rig_data": [],
+        "location": {"balance": dict.fromkeys(("force", "flow", "drive", "sensor"), 0.0),
+                     "regime": "", "intervals_s": []},
+        "effects": [], "parameters": {"before": {}, "after": {}},
+        "fit": {"data": "held_out", "signals": {}}, "advice": [], "message": message,
+        "channels": channels}
+
+
+def _change(change: Change) -> dict:
+    numbers = {when: {"value": value.value, "stddev": value.stddev}
+               for when, value in (("reference", change.reference), ("now", change.now))}
+    return {"what": change.what, "parameter": change.symbol, "balance": change.balance, **numbers,
+            "unit": change.unit, "statement": change.statement,
+            "indistinguishable_from": change.indistinguishable_from}
+
+
+def _learned(term: LearnedTerm) -> dict:
+    """Return the contract's keys of a learned term, then what extends them."""
+    arrays = ("x", "curve", "band", "at", "measured", "spread", "formula_curve")
+    return {"balance": term.balance, "of": term.of, "formula": term.formula,
+            "shape": term.shape,
+            "alternatives": [shown for shown, _ in term.rivals],
+            "held_out_error_removed": term.removed, "adds": term.adds,
+            "statement": term.statement, "size": term.size, "unit": term.unit,
+            "against_unit": term.against_unit, "log_evidence": term.gained,
+            "alternatives_behind": [behind for _, behind in term.rivals],
+            "covered": [float(term.x[0]), float(term.x[-1])], "entry": term.entry,
+            **{name: getattr(term, name) for name in arrays}}
+
+
+def completed(found: Found, settings: Settings) -> tuple[Settings, list[str], list[str]]:
+    """Return the given config completed with what was found.
+
+    ``effects`` is what the diagnosis says, and numbers of the rig that it contradicts, or knows
+    better, become the found ones.  B and beta_e of the rig become the fitted ones: ``simulator``
+    then makes what was recorded, and the filters start where the rig is.  Nothing else is
+    changed, thresholds and priors included: whether the rig is healthy is not for a fit to say.
+    Where neither names nor a learned term explain the mismatch, the config stays as it was.
+
+    Returns
+    -------
+    settings : completed.
+    changed : what is different, in words; ``missing`` what was found and cannot stand in it.
+    """
+    tree = settings.model_dump()
+    changed, missing = [], []
+    if found.command_hold != settings.command_hold:
+        tree["command_hold"] = found.command_hold
+        changed.append(f"command_hold: {found.command_hold}")
+    if found.verdict == "mismatch" or found.learned:
+        changed += _corrected_numbers(found, settings, tree["rig"], missing)
+        changed += _named_physics(found, tree, missing)
+        known = [*filter(None, settings.rig.identified.split(", ")),
+                 *(finding.key for finding in found.rig_data),
+                 *(one.name for one in found.effects if one.name in tree["effects"])]
+        for name, key in RIG_KEYS.items():
+            value = found.after.get(name)
+            if value is not None and 0 < value.value < LARGEST:
+                tree["rig"][key] = rounded(value.value)
+                shown = with_uncertainty(value.value, value.stddev, value.unit)
+                changed.append(f"rig.{key}: {shown}")
+                known.append(key)
+        tree["rig"]["identified"] = ", ".join(dict.fromkeys(known))
+    return settings_from_tree(tree, "diagnosis"), changed, missing
+
+
+def written_config(found: Found, settings: Settings, source: Path | None) -> str:
+    """Return the config of :func:`completed` as an annotated file that says what was changed."""
+    made, changed, missing = completed(found, settings)
+    given = f"Completes {source.name}." if source else "Based on the paper's EHA."
+    lines = [" ".join(line.split()) for line in (
+        f"Written by eha_monitor {__version__}, diagnose of {', '.join(found.bags)}.", given)]
+    lines += ["Changed keys:", *_indented(changed), *wrap(NOTE, _WIDTH)] if changed else [
+        f"No key is changed: the verdict is {found.verdict}."]
+    lines += ["Found, but not in this config:", *_indented(missing)] if missing else []
+    return annotated(made, "\n".join(lines))
+
+
+def _indented(points: list[str]) -> list[str]:
+    """Return points of a list as lines of a file's head; names of bags may hold line breaks."""
+    return [line for point in points for line in wrap(
+        point, _WIDTH, initial_indent="  ", subsequent_indent="    ", break_long_words=False)]
+
+
+def _corrected_numbers(found: Found, settings: Settings, rig: dict, missing: list[str]
+                       ) -> list[str]:
+    """Put the found numbers into the tree of the rig; return what was changed, in words."""
+    findings = {finding.key: finding for finding in (*found.rig_data, *found.rig_within)}
+    values, refused = corrected(settings.rig, {
+        key: finding.found.value for key, finding in findings.items()})
+    missing += [f"rig.{key}: {why}" for key, why in refused.items()]
+    rig.update(values)
+    lines = []
+    for key, value in values.items():
+        if key in findings and value == rounded(findings[key].found.value):
+            before, now = words.rig_values(findings[key])
+            lines.append(f"rig.{key}: {now}, was {before}"
+                         f"{words.in_brackets(findings[key].probability)}")
+        else:
+            lines.append(f"rig.{key}: {value:g}, was {getattr(settings.rig, key):g}; "
+                         "makeup_conductance is a part of leakage")
+    return lines
+
+
+def _named_physics(found: Found, tree: dict, missing: list[str]) -> list[str]:
+    """Put the named effects into the tree; return what was changed, in words."""
+    tree["effects"] = {name: values if is_own(values) else {
+        key: rounded(value) for key, value in values.items() if math.isfinite(value)}
+        for name, values in found.config_effects.items() if name in CATALOGUE or is_own(values)}
+    reasons = words.not_in_config(found)
+    for effect in found.effects:
+        if effect.name in reasons:
+            when = words.interval_words(effect.intervals_s)
+            missing.append(f"{effect.name}: {_sizes(effect)}{f' at {when}' if when else ''}; "
+                           f"{reasons[effect.name]}")
+    names = [effect.name for effect in found.effects if effect.name in tree["effects"]]
+    lines = [f"effects: {', '.join(names)}"] if names else []
+    return lines + [f"effects, learned: {term.statement}" for term in found.learned]

@@ -1,28 +1,32 @@
 """``estimate`` in Python: B and the bulk modulus of a recording, judged against the thresholds."""
 
+import math
 import os
 import time
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from eha_monitor.api.answer import answer, judged, unhealthy
+import numpy as np
+
 from eha_monitor.api.common import Progress, Record, calling, chosen, frame_of, read_only, reporter
 from eha_monitor.api.config import Config, path_of
 from eha_monitor.api.read import Given, checked, config_for, finding_tree, recordings_of
 from eha_monitor.api.recording import Recording
 from eha_monitor.compiled import load_runtime
 from eha_monitor.errors import InputError
+from eha_monitor.estimation.inputs import time_of
 from eha_monitor.estimation.joint import ObservabilityTable, observability
 from eha_monitor.estimation.pipeline import estimate as run
+from eha_monitor.estimation.results import NEAR_S, ParameterEstimate, converged_where, stands
 from eha_monitor.estimation.results import Estimate as Found
-from eha_monitor.estimation.results import ParameterEstimate
-from eha_monitor.health.alarms import Alarm
-from eha_monitor.indicators.assemble import of_estimate
+from eha_monitor.health.alarms import Alarm, ParameterSeries, judge_series
+from eha_monitor.indicators.assemble import evidence_of_estimate, indicators
 from eha_monitor.indicators.indicator import Indicator
-from eha_monitor.output import write_text
+from eha_monitor.output import finite, write_text
 from eha_monitor.quantity import SYMBOLS
+from eha_monitor.recordings.columns import blocks
 from eha_monitor.recordings.recording import SHORTEST_S
 from eha_monitor.recordings.recording import Recording as InnerRecording
 
@@ -144,12 +148,13 @@ class Estimate(Record, Found):
     @cached_property
     def indicators(self) -> tuple[Indicator, ...]:
         """Health in units to act on, leakage to drive lag; or why not (docs/health.md)."""
-        return of_estimate(self)
+        return indicators(evidence_of_estimate(self), self.settings)
 
     @property
     def healthy(self) -> bool:
         """Whether no alarm stands and the model fits: exit status 0 with ``--exit-code``."""
-        return not unhealthy(self, self.alarms)
+        return self.model.status != "mismatch" and not any(
+            alarm.level in ("WARN", "ERROR") for alarm in self.alarms)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the answer as JSON's plain types.
@@ -253,9 +258,8 @@ class Estimate(Record, Found):
             return place
 
     def _parameters(self) -> "pandas.DataFrame":
-        return frame_of(({"parameter": p.name, "estimator": estimator, "value": p.value,
-                          "stddev": p.stddev, "unit": p.unit, "status": p.status,
-                          "message": p.message} for estimator, p in self._rows()),
+        return frame_of(({"parameter": p.name, "estimator": estimator} | _parameter(p)
+                         for estimator, p in by_estimator(self)),
                         ("parameter", "estimator", "value", "stddev", "unit", "status",
                          "message"), "parameter")
 
@@ -269,16 +273,9 @@ class Estimate(Record, Found):
                 columns[column] = pandas.Series(values, index, dtype=float)
         return pandas.DataFrame(columns).rename_axis("time_s")
 
-    def _rows(self) -> list[tuple[str, ParameterEstimate]]:
-        """Return every parameter with the estimator that it is of."""
-        rows = [(f"stage {stage.stage}", stage.estimate)
-                for stage in (self.stage_one, self.stage_two)]
-        return rows + ([] if self.joint is None else [
-            ("joint", parameter) for parameter in self.joint.parameters.values()])
-
     def _short(self):
         rows = [[estimator, SYMBOLS.get(p.name, p.name), p.shown, p.status]
-                for estimator, p in self._rows()]
+                for estimator, p in by_estimator(self)]
         rows += [["alarm", alarm.name, alarm.message, alarm.word] for alarm in self.alarms
                  if alarm.level != "OK"]
         return (self.recording.source or "recording",
@@ -286,6 +283,13 @@ class Estimate(Record, Found):
                 ("estimator", "parameter", "value", "status"), rows,
                 tuple(f"lost: {loss}" for loss in self.recording.losses)
                 + tuple(f"note: {warning}" for warning in self.warnings))
+
+
+def by_estimator(found: Found) -> list[tuple[str, ParameterEstimate]]:
+    """Return every parameter with the estimator that it is of."""
+    return [*((f"stage {stage.stage}", stage.estimate)
+              for stage in (found.stage_one, found.stage_two)),
+            *(("joint", one) for one in (found.joint.parameters.values() if found.joint else ()))]
 
 
 def refuse_short(recording: InnerRecording) -> None:
@@ -301,3 +305,97 @@ def _alarms(alarms: tuple[Alarm, ...]) -> "pandas.DataFrame":
 
 def _named(recording: Any) -> str:
     return recording.source if isinstance(recording, Recording) else str(recording)
+
+
+# ---- the alarms, and the JSON of the contract --------------------------------------------------
+
+SCHEMA = "eha_monitor/estimate/1"
+
+
+def judged(found: Found) -> tuple[tuple[Alarm, ...], tuple[Alarm, ...]]:
+    """Return the alarms at the end of the recording, and every change of a level."""
+    recording = found.recording
+    temperature = recording.get("temperature") if recording.has("temperature") else None
+    measured = recording.get("x") if recording.has("x") else None
+    return judge_series(found.settings, time_of(recording), series_of(found), temperature,
+                        measured, found.model.tainted, found.beside)
+
+
+def series_of(found: Found) -> dict[str, ParameterSeries]:
+    """Return each parameter as it converged, as the alarms judge it."""
+    stages = {"B": found.stage_one, "beta_e": found.stage_two}
+    first, second = found.settings.stage_one, found.settings.stage_two
+    priors = {"B": (first.prior, first.prior_stddev),
+              "beta_e": (second.prior, second.prior_stddev, second.largest)}
+    return {name: ParameterSeries(
+        stage.estimate, stage.value, stage.stddev,
+        lambda value, stddev, prior=priors[name]: converged_where(value, stddev, *prior))
+        for name, stage in stages.items()}
+
+
+def judged_series(found: Found) -> dict[str, ParameterSeries]:
+    """Return each parameter as the alarms judge it: by least squares where its stage is in doubt.
+
+    What nothing determines has not converged.  The stage's value from before the mismatch showed
+    counts no more: a model that does not fit did not fit before either.
+    """
+    series, time = series_of(found), time_of(found.recording)
+    times = [one.time_s for one in found.beside]
+    for name, taint in found.model.tainted.items():
+        one = series[name]
+        if not len(one.value):
+            continue
+        looks = [stands(found.beside, at, name) for at in times]
+        place = np.searchsorted(times, time - time[0] + NEAR_S, side="right")
+        value, stddev = (np.array([math.nan, *(
+            getattr(look, key) if look else math.nan for look in looks)])[place]
+            for key in ("value", "stddev"))
+        series[name] = ParameterSeries(
+            found.parameters[name] if taint.instead else replace(one.final, status="not_excited"),
+            value, stddev, np.isfinite(value))
+    return series
+
+
+def answer(found: Found, alarms: tuple[Alarm, ...], history: tuple[Alarm, ...],
+           observable: ObservabilityTable | None = None) -> dict:
+    """Return the JSON tree: the contract's keys, then what extends it.  NaN becomes null."""
+    recording = found.recording
+    return finite(_head(recording, found.wall_s) | {
+        "parameters": {name: {**_parameter(p), "by": found.model.origin(name),
+                              "in_doubt": found.model.in_doubt(name)}
+                       for name, p in found.parameters.items()},
+        "alarms": alarms, "model": found.model,
+        "stages": {stage.stage: {"parameter": stage.estimate.name, **_parameter(stage.estimate),
+                                 "consistency": stage.consistency}
+                   for stage in (found.stage_one, found.stage_two)},
+        "joint": found.joint and {
+            "parameters": {n: _parameter(p) for n, p in found.joint.parameters.items()},
+            "correlation": found.joint.correlation, "message": found.joint.message},
+        "least_squares": [{"time_s": one.time_s, "parameters": {
+            name: _parameter(p) for name, p in one.parameters.items()}} for one in found.beside],
+        "observability": None if observable is None else observable.rows,
+        "noise": found.noise,
+        "channel_samples": {name: sum(int(np.isfinite(rows).sum())
+                                      for _, _, (rows,) in blocks(values))
+                            for name, values in recording.channels.items()},
+        "events": found.events, "alarm_history": history,
+        "losses": list(recording.losses), "warnings": list(found.warnings)})
+
+
+def refusal(recording: InnerRecording, message: str, channels: list[dict]) -> dict:
+    """Return the JSON tree of a recording that contradicts its config; no number is given."""
+    nothing = {"value": None, "stddev": None, "status": "no_data", "message": message}
+    return finite(_head(recording, 0.0) | {
+        "parameters": {"B": nothing, "beta_e": nothing}, "alarms": [],
+        "model": {"status": "not_judged", "message": message, "mismatches": [], "tainted": {}},
+        "channels": channels, "losses": list(recording.losses), "warnings": [message]})
+
+
+def _head(recording: InnerRecording, wall_s: float) -> dict:
+    return {"schema": SCHEMA, "bag": recording.source, "samples": len(recording),
+            "duration_s": recording.duration, "wall_s": wall_s}
+
+
+def _parameter(p: ParameterEstimate) -> dict:
+    return {"value": p.value, "stddev": p.stddev, "unit": p.unit, "status": p.status,
+            "message": p.message}

@@ -56,11 +56,7 @@ class ImplausibleError(InputError):
 
 
 def checked(recordings: Sequence[Inner], settings: Settings) -> tuple[ChannelFinding, ...]:
-    """Return what the recordings' channels say about the config, where an answer is possible.
-
-    Parameters
-    ----------
-    recordings : of one rig; each is checked by itself.
+    """Return what each recording's channels say about the config, where an answer is possible.
 
     Raises
     ------
@@ -166,11 +162,7 @@ def inner_of(path: Path, config: Config) -> Inner:
 
 
 def recordings_of(given: Several, config: Config, name: str) -> list[Inner]:
-    """Return the inner recordings of an argument: paths are read, recordings are taken.
-
-    Parameters
-    ----------
-    name : of the argument, for the error.
+    """Return the inner recordings of the argument ``name``: paths are read, recordings are taken.
 
     Raises
     ------
@@ -210,11 +202,7 @@ def source_of(given: Recording | Path) -> str:
 
 def distinct(recordings: Sequence[Recording | Path], held_out: Recording | Path | None = None,
              references: Sequence[Recording | Path] = (), option: str = "held_out") -> None:
-    """Refuse a recording that is given twice, or fitted and kept back at once.
-
-    Parameters
-    ----------
-    option : what the caller calls the recording that is kept back.
+    """Refuse a recording that is given twice, or fitted and kept back (``option``) at once.
 
     Raises
     ------

@@ -142,8 +142,7 @@ class Recording(Record, Inner):
                              f"{type(frame).__name__}")
         if sample_time is None:
             sample_time = _step_of(frame.index, source or "table")
-        return cls({str(name): frame[name] for name in frame.columns}, sample_time,
-                   source=source)
+        return cls({str(name): frame[name] for name in frame.columns}, sample_time, source=source)
 
     def between(self, start: float, stop: float) -> "Recording":
         """Return a part of it as a recording of its own.

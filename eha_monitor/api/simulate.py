@@ -2,7 +2,6 @@
 
 import os
 from collections.abc import Iterator
-from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -69,25 +68,12 @@ def simulate(config: Config | str | os.PathLike | dict | None = None, *,
                                              in columns.items()}, START_NS, SOURCE), config)
 
 
-@dataclass(frozen=True)
-class Written:
-    """A bag that was written: its length in s, samples and channels."""
-
-    duration: float
-    samples: int
-    channels: tuple[str, ...]
-
-
 def simulate_bag(out: Path, config: Config, *, duration: float | None = None,
                  seed: int | None = None, plain: bool = False, overwrite: bool = False,
-                 progress: Progress = False) -> Written:
-    """Simulate straight to a bag, of any length, as it comes.
+                 progress: Progress = False) -> tuple[float, int, tuple[str, ...]]:
+    """Simulate straight to a bag, of any length, as it comes; not compressed if ``plain``.
 
-    Parameters
-    ----------
-    out : folder of the new bag, or an .mcap file.
-    plain : do not compress.
-    overwrite : replace a bag that is there already.
+    Returns its length in s, samples and channels.
     """
     plant, samples = _plant(config, duration, seed)
     parts = _parts(plant, samples, reporter(progress))
@@ -97,13 +83,12 @@ def simulate_bag(out: Path, config: Config, *, duration: float | None = None,
                        start_ns=START_NS) as writer:
         for part in chain((first,), parts):
             writer.write(part)
-    return Written(samples * plant.dt, samples, tuple(first))
+    return samples * plant.dt, samples, tuple(first)
 
 
 def _plant(config: Config, duration: Any, seed: Any) -> tuple[Simulator, int]:
     """Return the simulator and how many samples are requested."""
-    if seed is not None and (isinstance(seed, bool) or not hasattr(seed, "__index__")
-                             or seed < 0):
+    if seed is not None and (isinstance(seed, bool) or not hasattr(seed, "__index__") or seed < 0):
         raise InputError(f"seed: expected a whole number from 0 on, got {seed!r}")
     seconds = _seconds(duration)
     plant = Simulator(config.settings, seed, source=config.source or "config")

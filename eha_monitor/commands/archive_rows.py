@@ -7,6 +7,7 @@ the single-bag command, so that a row says what that says.
 import hashlib
 import os
 import time
+import traceback
 from collections.abc import Sequence
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, replace
@@ -14,7 +15,8 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from eha_monitor.api.answer import answer
+from eha_monitor.api.config import Config
+from eha_monitor.api.estimate import answer, estimate
 from eha_monitor.archive import run
 from eha_monitor.archive.find import Place, find_bags, stamp_of
 from eha_monitor.archive.store import INDICATORS, PARAMETERS, Store, check_parquet, iso_time
@@ -186,28 +188,27 @@ def source_of(command: str) -> str:
 def row_of(task: Task) -> dict:
     """Return the row of a bag; where there is no answer, the reason is in ``error``."""
     started = time.perf_counter()
-    row: dict = {"bag": task.name, "stamp": task.stamp, "made_with": task.made_with}
+    row: dict = {}
     try:
         _fill(row, task)
     except InputError as problem:
         row["error"] = " ".join(str(problem).split())
     except Exception as problem:  # noqa: BLE001  a defect must not cost the other bags
         row["error"] = f"defect of eha_monitor: {_where(problem)}"
-    row["wall_s"] = time.perf_counter() - started
-    row["answered"] = iso_time(time.time_ns())
-    return finite(row)
+    return finite(_begun(task) | row | {"wall_s": time.perf_counter() - started})
 
 
 def error_row(task: Task, error: str) -> dict:
     """Return the row of a bag that nobody could answer."""
-    return {"bag": task.name, "stamp": task.stamp, "made_with": task.made_with, "error": error,
+    return _begun(task) | {"error": error}
+
+
+def _begun(task: Task) -> dict:
+    return {"bag": task.name, "stamp": task.stamp, "made_with": task.made_with,
             "answered": iso_time(time.time_ns())}
 
 
 def _fill(row: dict, task: Task) -> None:
-    from eha_monitor.api.config import Config
-    from eha_monitor.api.estimate import estimate
-
     config = Config.of(task.settings)
     found = last = estimate(task.path, config)
     if found.recording.dated:
@@ -246,12 +247,12 @@ def estimate_columns(tree: dict) -> dict:
             one, taint = taint["instead"], None
         row |= {name: one["value"], f"{name}_stddev": one["stddev"], f"{name}_unit": one["unit"],
                 f"{name}_status": one["status"], f"{name}_doubt": taint and taint["reason"]}
-    words = [Alarm(**alarm).word for alarm in tree["alarms"]]
-    row |= {alarm["name"]: word for alarm, word in zip(tree["alarms"], words, strict=True)}
-    if words:
-        worst = max(range(len(words)), key=lambda i: SEVERITY.index(words[i]))
-        row |= {"alarm": words[worst], "alarm_message": None if words[worst] == "OK" else (
-            tree["alarms"][worst]["message"])}
+    alarms = [Alarm(**alarm) for alarm in tree["alarms"]]
+    row |= {alarm.name: alarm.word for alarm in alarms}
+    if alarms:
+        worst = max(alarms, key=lambda alarm: SEVERITY.index(alarm.word))
+        row |= {"alarm": worst.word,
+                "alarm_message": None if worst.word == "OK" else worst.message}
     balances = dict.fromkeys(one["balance"] for one in tree["model"]["mismatches"])
     return row | {"model": tree["model"]["status"], "model_message": tree["model"]["message"],
                   "model_balance": "; ".join(balances) or None,
@@ -297,11 +298,8 @@ def diagnosis_columns(tree: dict) -> dict:
 
 def _where(problem: Exception) -> str:
     """Return a defect in one line: what, and at which line of which file."""
-    place = problem.__traceback__
-    while place is not None and place.tb_next is not None:
-        place = place.tb_next
-    at = "" if place is None else (
-        f" at {Path(place.tb_frame.f_code.co_filename).name}:{place.tb_lineno}")
+    at = "".join(f" at {Path(place.filename).name}:{place.lineno}"
+                 for place in traceback.extract_tb(problem.__traceback__)[-1:])
     return " ".join(f"{type(problem).__name__}: {problem}{at}".split())[:300]
 
 
@@ -316,36 +314,29 @@ def show(rows: Sequence[dict], command: str, settings: Settings, made_with: str,
     """Print what was done, which recordings need a look, and the trends."""
     from rich.markup import escape
 
-    from eha_monitor.commands.table import COLOURS, console, print_end, table
+    from eha_monitor.commands.table import coloured, console, print_end, table
     from eha_monitor.quantity import NOTE
-    from eha_monitor.reports.archive_report import (
-        histories_of,
-        outlook_words,
-        summary_words,
-        trend_words,
-    )
+    from eha_monitor.reports import archive_report as report
 
     to = console()
     gone = sum(bool(row.get("gone")) for row in rows)
     to.print(f"{escape(str(folder))}: {len(rows) - gone} bags, {answered} processed now, "
                   f"{len(rows) - gone - answered} unchanged"
                   + (f"; {gone} more no longer in the folder" if gone else ""))
-    to.print(escape(summary_words(rows, command)))
+    to.print(escape(report.summary_words(rows, command)))
     newest = sorted(rows, key=lambda row: (bool(row.get("error")), row.get("start") or "",
                                            row["bag"]), reverse=True)
-    looked = [row for row in newest if row.get("error") or unhealthy(row)]
-    if looked:
+    if looked := [row for row in newest if row.get("error") or unhealthy(row)]:
         shown = table("recording", "start", "alarm", "why")
         for row in looked[:MOST]:
-            level = row.get("alarm") or ""
-            colour = COLOURS.get(level)
             shown.add_row(escape(row["bag"]), (row.get("start") or "–")[:16].replace("T", " "),
-                          f"[{colour}]{level}[/]" if colour else level, escape(_why(row)))
+                          coloured(row.get("alarm") or ""), escape(_why(row)))
         to.print(shown)
         if len(looked) > MOST:
             to.print(f"and {len(looked) - MOST} more")
-    for one in histories_of(rows, command, made_with, settings):
-        to.print(escape(" ".join(filter(None, (trend_words(one), outlook_words(one))))))
+    for one in report.histories_of(rows, command, made_with, settings):
+        to.print(escape(" ".join(filter(None, (report.trend_words(one),
+                                               report.outlook_words(one))))))
     print_end(to, NOTE, written)
 
 
@@ -353,10 +344,7 @@ def _why(row: dict) -> str:
     """Return what is wrong with a recording, the worst first."""
     from eha_monitor.reports.archive_report import phrases
 
-    if row.get("error"):
-        return row["error"]
-    if told := phrases(row):
-        return "; ".join(told)
-    if row.get("alarm") in ("WARN", "ERROR", NOT_JUDGED):
-        return row["alarm_message"]
-    return row.get("verdict_message") or row.get("model_message") or ""
+    alarmed = row.get("alarm") in ("WARN", "ERROR", NOT_JUDGED)
+    return row.get("error") or "; ".join(phrases(row)) or (
+        row["alarm_message"] if alarmed else
+        row.get("verdict_message") or row.get("model_message") or "")

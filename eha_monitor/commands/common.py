@@ -27,8 +27,7 @@ json_option = click.option("--json", "json_file", type=FILE, metavar="FILE",
 report_option = click.option("--report", "report_file", type=FILE, metavar="FILE.html",
                              help="Write a self-contained HTML report.")
 overwrite_option = click.option("--overwrite", is_flag=True, help="Replace an existing bag.")
-bags_argument = click.argument("bags", type=FILE, nargs=-1, required=True,
-                               metavar="BAG [BAG ...]")
+bags_argument = click.argument("bags", type=FILE, nargs=-1, required=True, metavar="BAG [BAG ...]")
 
 
 def write_config_option(words: str) -> Callable:
@@ -39,7 +38,7 @@ def write_config_option(words: str) -> Callable:
 class Several(click.Command):
     """A command with options that take all words up to the next option: ``--reference A B C``."""
 
-    several: tuple[str, ...] = ("--reference", "--without")
+    several = ("--reference", "--without", "--from")
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """Give each further word the option's name again, as click takes them."""
@@ -68,15 +67,10 @@ def ros_module(name: str):
                          f"source a ROS 2 set-up, or {installs('ros')}") from problem
 
 
-def on_terminal() -> bool:
-    """Tell whether somebody watches; progress is shown there only."""
-    return sys.stderr.isatty()
-
-
 @contextmanager
 def working(what: str) -> Iterator[Callable[[str], None]]:
     """Show on a terminal that something of unknown length is going on; yields ``told(what)``."""
-    if not on_terminal():
+    if not sys.stderr.isatty():
         yield lambda what: None
         return
     from rich.console import Console
@@ -89,7 +83,7 @@ def working(what: str) -> Iterator[Callable[[str], None]]:
 @contextmanager
 def progress_bar() -> Iterator[Report]:
     """Yield ``told(text, share)``, which moves a bar on a terminal and does nothing elsewhere."""
-    if not on_terminal():
+    if not sys.stderr.isatty():
         yield silent
         return
     from rich.console import Console
@@ -161,11 +155,7 @@ def refusing(config: "Config", source: Path | None, json_file: Path | None,
              config_file: Path | None, tree: Callable[[InputError], dict]) -> Iterator[None]:
     """Write what was requested where a recording contradicts its config, and say where it is.
 
-    Parameters
-    ----------
-    config, source : that was read, and its file.
-    json_file, config_file : to write, or None.
-    tree : returns the JSON of a refusal.
+    ``source`` is the file of the config; ``tree`` returns the JSON of a refusal.
     """
     from eha_monitor.api.read import ImplausibleError, corrected_config
     from eha_monitor.output import write_json, write_text

@@ -7,7 +7,6 @@ from pathlib import Path
 import click
 
 from eha_monitor.commands import common
-from eha_monitor.commands.common import FILE, check_outputs, check_target, working
 from eha_monitor.errors import InputError
 from eha_monitor.output import write_bytes, write_text
 
@@ -31,10 +30,10 @@ def simulate(out: Path, config: Path | None, seed: int | None, duration: float |
 
     common.check_new(out, overwrite)  # before the work, not after it
     with common.progress_bar() as told:
-        made = simulate_bag(out, config_of(config), duration=duration, seed=seed, plain=plain,
-                            overwrite=overwrite, progress=told)
-    click.echo(f"{out}: {made.duration:g} s, {made.samples} samples, "
-               f"channels {', '.join(made.channels)}")
+        length, samples, channels = simulate_bag(
+            out, config_of(config), duration=duration, seed=seed, plain=plain,
+            overwrite=overwrite, progress=told)
+    click.echo(f"{out}: {length:g} s, {samples} samples, channels {', '.join(channels)}")
 
 
 @click.command("import")
@@ -73,22 +72,22 @@ def config(file: Path | None) -> None:
 
 
 @click.command()
-@click.argument("config", type=FILE, metavar="CONFIG")
-@click.option("--fmu", type=FILE, metavar="FILE.fmu",
+@click.argument("config", type=common.FILE, metavar="CONFIG")
+@click.option("--fmu", type=common.FILE, metavar="FILE.fmu",
               help="FMU 2.0 for co-simulation: Simulink, OpenModelica, fmpy.")
 @click.option("--fmu-platform", "platforms", multiple=True,
               type=click.Choice(["linux64", "win64"]),
               help="Platform of the FMU, may be given several times; default: all.")
-@click.option("--modelica", type=FILE, metavar="FILE.mo", help="Modelica text.")
-@click.option("--urdf", type=FILE, metavar="FILE.urdf",
+@click.option("--modelica", type=common.FILE, metavar="FILE.mo", help="Modelica text.")
+@click.option("--urdf", type=common.FILE, metavar="FILE.urdf",
               help="A joint with damping and friction.")
-@click.option("--mujoco", type=FILE, metavar="FILE.xml",
+@click.option("--mujoco", type=common.FILE, metavar="FILE.xml",
               help="The same for MuJoCo (MJCF).")
-@click.option("--ros2-control", "ros2_control", type=FILE, metavar="FILE.yaml",
+@click.option("--ros2-control", "ros2_control", type=common.FILE, metavar="FILE.yaml",
               help="Friction feed-forward table, as ROS parameters.")
 @click.option("--joint", default="piston", show_default=True, metavar="NAME",
               help="Name of the joint in URDF, MuJoCo and ros2_control.")
-@click.option("--recording", "bags", type=FILE, multiple=True, metavar="BAG",
+@click.option("--recording", "bags", type=common.FILE, multiple=True, metavar="BAG",
               help="Recording that the model was identified from: the table marks the velocities "
                    "it covers.")
 def export(config: Path, fmu: Path | None, platforms: tuple[str, ...], modelica: Path | None,
@@ -110,8 +109,8 @@ def export(config: Path, fmu: Path | None, platforms: tuple[str, ...], modelica:
     if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]{0,63}", joint):
         raise InputError(f"--joint: expected a name of letters, digits and _, got {joint!r}")
     for target in targets.values():
-        check_target(target)
-    check_outputs(targets, bags, config)
+        common.check_target(target)
+    common.check_outputs(targets, bags, config)
 
     from eha_monitor.exports import fmu as of_fmi
     from eha_monitor.exports import joints
@@ -129,13 +128,12 @@ def export(config: Path, fmu: Path | None, platforms: tuple[str, ...], modelica:
         "--urdf": lambda: joints.urdf_of(model, joint),
         "--mujoco": lambda: joints.mujoco_of(model, joint),
         "--ros2-control": lambda: joints.feedforward_of(
-            model, joint, [read_recording(bag, model.settings) for bag in bags]),
-    }
+            model, joint, [read_recording(bag, model.settings) for bag in bags])}
     # All are made before the first is written: a config that one format refuses writes nothing.
     made = {}
     for option, target in targets.items():
         if target is not None:
-            with working(f"making {target}"):
+            with common.working(f"making {target}"):
                 made[option] = makers[option]()
     for option, exported in made.items():
         target = targets[option]

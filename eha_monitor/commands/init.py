@@ -127,17 +127,13 @@ def _tell(draft) -> None:
     """Print which column became which channel, and what the recording says against it."""
     from eha_monitor.commands.table import console, table
 
-    to, shown = console(), table("channel", "column", "unit", "where from")
-    rows = ([("time", draft.map.time)] if draft.map.time else []) + list(
-        draft.map.channels.items())
-    for name, guess in rows:
-        scale = "" if guess.scale == 1.0 else f"{guess.scale:g} "
-        shown.add_row(name, guess.candidate.shown.replace("[", r"\["),
-                      guess.full or f"{scale}{guess.unit}", guess.why.replace("[", r"\["))
-    to.print(shown)
+    to, time = console(), [("time", draft.map.time)] if draft.map.time else []
+    to.print(table("channel", "column", "unit", "where from", rows=(
+        (name, guess.candidate.shown,
+         guess.full or ("" if guess.scale == 1.0 else f"{guess.scale:g} ") + guess.unit, guess.why)
+        for name, guess in (*time, *draft.map.channels.items()))))
     if draft.map.unused:
-        to.print(f"not used: {', '.join(one.shown for one in draft.map.unused)}",
-                      markup=False)
+        to.print(f"not used: {', '.join(one.shown for one in draft.map.unused)}", markup=False)
     if draft.asked:
         to.print("missing values (ASK in the file):", markup=False)
         for key, question in draft.asked:
@@ -160,7 +156,7 @@ def _first_estimate(draft, out: Path) -> None:
         click.echo(f"no estimate yet: the recording is {draft.recording.duration:.3g} s long, "
                    f"expected at least {SHORTEST_S:g} s; is the unit of the time right?")
         return
-    from eha_monitor.api.answer import judged
+    from eha_monitor.api.estimate import judged
     from eha_monitor.commands.table import show
     from eha_monitor.compiled import load_runtime
     from eha_monitor.estimation.pipeline import estimate

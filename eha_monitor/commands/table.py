@@ -2,7 +2,7 @@
 
 import math
 import shlex
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import click
@@ -10,12 +10,13 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from eha_monitor.api.estimate import by_estimator
 from eha_monitor.balances.baseline import Baseline, baseline
 from eha_monitor.balances.baseline import sentence as baseline_sentence
 from eha_monitor.estimation.results import Estimate
 from eha_monitor.health.alarms import BALANCES, NO_LIMIT, NOT_JUDGED, Alarm
-from eha_monitor.indicators.indicator import AVAILABLE, NEEDS, NONE, NOT_LOOKED_FOR, Indicator
-from eha_monitor.mismatch.diagnosis import Diagnosis
+from eha_monitor.indicators.indicator import AVAILABLE, NEEDS, NOT_LOOKED_FOR, Indicator, passed
+from eha_monitor.mismatch.diagnosis import Diagnosis, LearnedTerm
 from eha_monitor.plausibility.sheet import (
     against_sheet,
     cylinder_against,
@@ -48,12 +49,15 @@ def console() -> Console:
     return made if made.is_terminal else PipeConsole(highlight=False, width=PIPE_WIDTH)
 
 
-def table(*columns: str, **more) -> Table:
-    """Return a table as all answers have it."""
-    return Table(*columns, box=None, header_style="bold", padding=(0, 2, 0, 0), **more)
+def table(*columns: str, rows: Iterable[Sequence[str]] = (), **more) -> Table:
+    """Return a table as all answers have it; ``rows`` hold text, not markup."""
+    made = Table(*columns, box=None, header_style="bold", padding=(0, 2, 0, 0), **more)
+    for row in rows:
+        made.add_row(*map(escape, row))
+    return made
 
 
-def print_end(to: Console, note: str, written: list[Path]) -> None:
+def print_end(to: Console, note: str, written: Sequence[Path]) -> None:
     """Print what holds for all numbers, and which files were written."""
     if note:
         to.print(note, style="dim")
@@ -91,7 +95,7 @@ def show(found: Estimate, alarms: tuple[Alarm, ...], written: list[Path],
             to.print(escape(parameter.message))
     show_indicators(to, indicators, found.settings)
     to.print(_alarms(alarms))
-    to.print(f"model: {_coloured(found.model.status)}: {escape(found.model.message)}")
+    to.print(f"model: {coloured(found.model.status)}: {escape(found.model.message)}")
     if found.model.status == "mismatch":
         first = baseline(recording, found.settings)
         show_baselines(to, (first,))
@@ -120,21 +124,18 @@ def show_baselines(to: Console, baselines: Sequence[Baseline]) -> None:
             to.print(escape(f"least squares, {balance}{of}: {said}"))
 
 
-def _coloured(word: str) -> str:
+def coloured(word: str) -> str:
+    """Return a level or a status in its colour, as markup."""
     colour = COLOURS.get(word)
     return f"[{colour}]{word}[/]" if colour else word
 
 
 def _estimated(found: Estimate) -> Table:
     shown = table("estimator", "parameter", "value", "status")
-    rows = [(f"stage {stage.stage}", stage.estimate)
-            for stage in (found.stage_one, found.stage_two)]
-    if found.joint is not None:
-        rows += [("joint", parameter) for parameter in found.joint.parameters.values()]
-    for estimator, p in rows:
+    for estimator, p in by_estimator(found):
         # What must not be used does not speak like what may.
         value = p.shown if p.status == "converged" or p.shown == "—" else f"[dim]({p.shown})[/]"
-        status = _coloured(p.status)
+        status = coloured(p.status)
         doubted = found.joint_doubt if estimator == "joint" else p.name in found.model.tainted
         if p.status == "converged" and doubted:
             value, status = f"[dim]({p.shown})[/]", "converged, [yellow]in doubt[/]"
@@ -153,21 +154,15 @@ def _estimated(found: Estimate) -> Table:
 def _alarms(alarms: tuple[Alarm, ...]) -> Table:
     shown = table("alarm", "level", "since", "why")
     for alarm in alarms:
-        word = "[dim]–[/]" if alarm.message == NO_LIMIT else _coloured(alarm.word)
+        word = "[dim]–[/]" if alarm.message == NO_LIMIT else coloured(alarm.word)
         shown.add_row(alarm.name, word, f"{alarm.time_s:.2f} s", escape(alarm.message))
     return shown
 
 
 def show_indicators(to: Console, indicators: Sequence[Indicator], settings: Settings,
                     looks: str = "`diagnose`") -> None:
-    """Print those that are told, why others are not, and which keys are missing.
-
-    ``looks`` : what finds those that nobody has looked for.
-    """
-    from eha_monitor.indicators.indicator import passed
-
-    shown = [one for one in indicators if one.status not in (NEEDS, NONE)
-             and one.message != NOT_LOOKED_FOR]
+    """Print those that are told, and which keys or which look, ``looks``, others need."""
+    shown = [one for one in indicators if not one.silent]
     if any(one.status == AVAILABLE for one in shown):
         rows = table("indicator", "value", "conditions, or why there is no value")
         for one in shown:
@@ -177,8 +172,7 @@ def show_indicators(to: Console, indicators: Sequence[Indicator], settings: Sett
     if others := [one.words for one in indicators if one.message == NOT_LOOKED_FOR
                  and one.name != "friction_share"]:
         to.print(escape(f"run {looks} for {listed(others)}"), style="dim")
-    missing = dict.fromkeys(key for one in indicators for key in one.missing)
-    if missing:
+    if missing := dict.fromkeys(key for one in indicators for key in one.missing):
         lacking = listed([one.words for one in indicators if one.status == NEEDS])
         to.print(escape(f"not computed: {lacking}; set {listed(list(missing))} in the "
                         "config (docs/health.md)"), style="dim")
@@ -192,8 +186,8 @@ RIVAL_FORMULA = 20.0  # log units: a formula that is worse by more is not worth 
 _COLOURS = {"ok": "green", "warn": "yellow", "error": "red", "unknown": "dim"}
 
 
-def show_diagnosis(found: Diagnosis, written: list[Path], notes: list[str] = (),
-         indicators: tuple[Indicator, ...] = (), settings: Settings | None = None) -> None:
+def show_diagnosis(found: Diagnosis, settings: Settings, written: Sequence[Path] = (),
+                   notes: Sequence[str] = (), indicators: Sequence[Indicator] = ()) -> None:
     """Print wrong numbers of the rig, verdict, place, effects, parameters, indicators, proof."""
     to = console()
     kind = words.head_of(found)[0]
@@ -211,9 +205,12 @@ def show_diagnosis(found: Diagnosis, written: list[Path], notes: list[str] = (),
                   f"{escape(words.message_words(found))}".rstrip(": "))
     for gate in found.gates:
         to.print(escape(f"refused: {gate.statement}"))
-    _print_place(to, found)
+    place, worst = words.place_words(found), words.worst_words(found)
+    if found.verdict in ("mismatch", "unexplained") and place:
+        to.print(escape(f"where: {place}{f'; worst at {worst}' if worst else ''}"))
     if found.changes:
-        to.print(_changes(found))
+        to.print(table("changed", "healthy", "now", "indistinguishable from",
+                       rows=words.change_rows(found)))
     if found.effects and not found.references:
         to.print(_effects(found))
         for effect in found.effects:
@@ -225,19 +222,19 @@ def show_diagnosis(found: Diagnosis, written: list[Path], notes: list[str] = (),
     if found.learned:
         to.print(_learned(found))
     if found.before or found.after:
-        to.print(_parameters(found))
-    if settings is not None:
-        show_indicators(to, indicators, settings, "`diagnose` of it alone"
-                        if found.references else "`diagnose`")
+        to.print(table("parameter", *words.model_names(found), rows=(
+            (SYMBOLS.get(name, name), *words.parameter_words(found, name))
+            for name in dict.fromkeys((*found.before, *found.after)))))
+    show_indicators(to, indicators, settings, "`diagnose` of it alone"
+                    if found.references else "`diagnose`")
     if found.signals:
         to.print(_fit(found))
     show_baselines(to, found.baselines)
-    if settings is not None:
-        for line in _against_config(found, settings):
-            to.print(f"[yellow]config[/]: {escape(line)}")
+    for line in _against_config(found, settings):
+        to.print(f"[yellow]config[/]: {escape(line)}")
     for finding in found.rig_within:
         to.print(f"[yellow]rig data[/]: {escape(finding.statement)}")
-    unknown = settings is not None and words.nameless(found)
+    unknown = words.nameless(found)
     todo = words.next_steps(found, shlex.join(found.bags) + words.own_config(settings.rig)
                             ) if unknown else ()
     for title, sentences in (("health", (*words.off_words(found), *found.health)),
@@ -257,71 +254,38 @@ def _against_config(found: Diagnosis, settings: Settings) -> list[str]:
     pump where the answer says nothing of either.
     """
     named = {effect.name for effect in found.effects} | {one.key for one in found.rig_data}
-    if found.references:
-        return load_against(found.baselines, settings) if LOADLIKE & named else []
-    lines = []
-    if len(found.baselines) == 1:
+    loads, force, lines = LOADLIKE & named, found.signals.get("force"), []
+    if len(found.baselines) == 1 and not found.references:
         first = found.baselines[0]
         lines += cylinder_against(first, settings) + (
             [] if SIZES & named else sizes_against(first, settings))
-    force = found.signals.get("force")
-    if LOADLIKE & named:
-        return lines + load_against(found.baselines, settings)
-    return lines if force is None else lines + load_against(
-        found.baselines, settings, force.before_rms)
-
-
-def _print_place(to: Console, found: Diagnosis) -> None:
-    place = words.place_words(found)
-    if found.verdict in ("mismatch", "unexplained") and place:
-        worst = words.worst_words(found)
-        to.print(escape(f"where: {place}{f'; worst at {worst}' if worst else ''}"))
+    if loads or (force is not None and not found.references):
+        lines += load_against(found.baselines, settings, None if loads else force.before_rms)
+    return lines
 
 
 def _effects(found: Diagnosis) -> Table:
-    shown = table("left out", "probability", "balance", "size", "parameters",
-                   "indistinguishable from")
-    for effect in found.effects:
-        shown.add_row(effect.name, probability(effect.probability), effect.balance,
-                      escape(effect.size),
-                      escape("\n".join(f"{name} = {words.value_words(value)}"
-                                       for name, value in effect.parameters.items())),
-                      escape(words.rivals(effect.indistinguishable_from)) or "–")
-    return shown
-
-
-def _changes(found: Diagnosis) -> Table:
-    shown = table("changed", "healthy", "now", "indistinguishable from")
-    for row in words.change_rows(found):
-        shown.add_row(*map(escape, row))
-    return shown
+    return table("left out", "probability", "balance", "size", "parameters",
+                 "indistinguishable from", rows=(
+        (effect.name, probability(effect.probability), effect.balance, effect.size,
+         "\n".join(f"{name} = {words.value_words(value)}"
+                   for name, value in effect.parameters.items()),
+         words.rivals(effect.indistinguishable_from) or "–") for effect in found.effects))
 
 
 def _learned(found: Diagnosis) -> Table:
-    shown = table("learned", "function of", "size", "removed on unseen data", "formula")
-    for term in found.learned:
-        rivals = [f"or {shown}, {words.log_units(behind)} log units worse"
-                  for shown, behind in term.rivals if behind < RIVAL_FORMULA]
-        shown.add_row(f"missing {term.balance}", ", ".join(term.of), term.size,
-                      words.percent(term.removed),
-                      escape("\n".join([term.formula or "none fits as well as the curve",
-                                         *rivals])))
-    return shown
+    def formulas(term: LearnedTerm) -> str:
+        return "\n".join([term.formula or "none fits as well as the curve",
+                          *(f"or {shown}, {words.log_units(behind)} log units worse"
+                            for shown, behind in term.rivals if behind < RIVAL_FORMULA)])
 
-
-def _parameters(found: Diagnosis) -> Table:
-    shown = table("parameter", *words.model_names(found))
-    for name in dict.fromkeys((*found.before, *found.after)):
-        shown.add_row(SYMBOLS.get(name, name), *words.parameter_words(found, name))
-    return shown
+    return table("learned", "function of", "size", "removed on unseen data", "formula", rows=(
+        (f"missing {term.balance}", ", ".join(term.of), term.size, words.percent(term.removed),
+         formulas(term)) for term in found.learned))
 
 
 def _fit(found: Diagnosis) -> Table:
     heads, rows = words.fit_rows(found)
-    shown = table(*heads)
-    for row in rows:
-        shown.add_row(*map(escape, row))
     how = "free run" if "position" in found.signals else "low-passed residual of each balance"
-    shown.caption = f"root mean square, {how}; on {words.DATA.get(found.data, found.data)}"
-    shown.caption_justify = "left"
-    return shown
+    return table(*heads, rows=rows, caption_justify="left", caption=(
+        f"root mean square, {how}; on {words.DATA.get(found.data, found.data)}"))

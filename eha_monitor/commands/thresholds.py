@@ -6,47 +6,32 @@ from pathlib import Path
 
 import click
 
-from eha_monitor.commands.common import (
-    FILE,
-    Several,
-    check_outputs,
-    config_option,
-    json_option,
-    working,
-    write_config_option,
-)
+from eha_monitor.commands import common
 from eha_monitor.errors import InputError
-from eha_monitor.output import write_json, write_text
+from eha_monitor.output import finite, write_json, write_text
 
 FEW = 5  # recordings; with fewer a spread is hardly known
 SCHEMA = "eha_monitor/thresholds/1"
 
 
-class _From(Several):
-    """Takes all words behind ``--from``."""
-
-    several = ("--from",)
-
-
-@click.command(cls=_From)
-@click.option("--from", "bags", required=True, multiple=True, type=FILE,
+@click.command(cls=common.Several)
+@click.option("--from", "bags", required=True, multiple=True, type=common.FILE,
               metavar="HEALTHY ...", help="Recordings of the healthy machine, five or more.")
-@config_option
+@common.config_option
 @click.option("--rate", type=click.FloatRange(0, 0.5, min_open=True), default=0.01,
               show_default=True, help="Share of healthy recordings that may raise a WARN; an "
               "ERROR a tenth of it.")
 @click.option("--least", type=click.FloatRange(0, 0.6), default=0.1, show_default=True,
               help="Smallest distance of a WARN limit from the mean, as a fraction of the mean.")
-@json_option
-@write_config_option("Write the config with these thresholds.")
+@common.json_option
+@common.write_config_option("Write the config with these thresholds.")
 def thresholds(bags: tuple[Path, ...], config: Path | None, rate: float, least: float,
                json_file: Path | None, config_file: Path | None) -> None:
     """Propose alarm limits from healthy recordings, with the false-alarm rate that they imply."""
-    check_outputs({"--json": json_file, "--write-config": config_file}, bags, config)
-    twice = [bag for place, bag in enumerate(bags)
-             if bag.resolve() in [other.resolve() for other in bags[:place]]]
-    if twice:
-        raise InputError(f"--from {twice[0]}: is given twice, expected different recordings")
+    common.check_outputs({"--json": json_file, "--write-config": config_file}, bags, config)
+    for place, bag in enumerate(bags):
+        if bag.resolve() in [other.resolve() for other in bags[:place]]:
+            raise InputError(f"--from {bag}: is given twice, expected different recordings")
 
     from eha_monitor.health.proposal import proposed
     from eha_monitor.settings import load_settings
@@ -66,8 +51,8 @@ def thresholds(bags: tuple[Path, ...], config: Path | None, rate: float, least: 
             told.append(f"what needs no limits: `{compare}` compares the next recording (NOW) "
                         f"with these{', by the config that init drafted' * diagnosed}")
         raise InputError("; ".join([
-            f"{_all_of(bags)}: expected at least one recording in which B or βe converges",
-            *told]))
+            f"{bags[0] if len(bags) == 1 else f'{bags[0]} to {bags[-1]}'}: expected at least one "
+            "recording in which B or βe converges", *told]))
     proposals = [proposed(symbol, found, rate, least)
                  for symbol, found in healthy.items() if found]
     if unfit:
@@ -80,9 +65,11 @@ def thresholds(bags: tuple[Path, ...], config: Path | None, rate: float, least: 
         if diagnosed and any(len(found) < len(bags) for found in healthy.values()):
             told += ["what is left out shows in a comparison of the next recording (NOW) with "
                      "these, by the config that init drafted:", f"  {compare}"]
-    _show(proposals, told, seconds, settings, len(bags))
+    notes = _sentences(proposals, told, seconds, len(bags))
+    _show(proposals, notes, settings)
     if json_file:
-        write_json(json_file, _tree(proposals, told, seconds, len(bags)))
+        write_json(json_file, finite({"schema": SCHEMA, "recording_s": seconds, "notes": notes,
+                                      "proposals": {one.symbol: one for one in proposals}}))
         click.echo(f"written: {json_file}")
     if config_file:
         write_text(config_file, _config(proposals, settings, config, seconds))
@@ -93,8 +80,7 @@ def _healthy(bags, settings):
     """Return what each recording says, sentences, where the model does not fit, usual length."""
     import numpy as np
 
-    from eha_monitor.api.answer import judged_series
-    from eha_monitor.api.estimate import refuse_short
+    from eha_monitor.api.estimate import judged_series, refuse_short
     from eha_monitor.api.read import checked
     from eha_monitor.compiled import load_runtime
     from eha_monitor.estimation.inputs import time_of
@@ -107,7 +93,7 @@ def _healthy(bags, settings):
     found, unfit, seconds = {"B": [], "beta_e": []}, [], []
     left_out: dict[tuple[str, str], list[Path]] = {}
     for bag in bags:
-        with working(f"estimating {bag}"):
+        with common.working(f"estimating {bag}"):
             recording = read_recording(bag, settings)
             checked([recording], settings)
             refuse_short(recording)
@@ -132,10 +118,6 @@ def _healthy(bags, settings):
     return found, told, unfit, float(np.median(seconds))
 
 
-def _all_of(bags) -> str:
-    return str(bags[0]) if len(bags) == 1 else f"{bags[0]} to {bags[-1]}"
-
-
 def _remedy(unfit, bags, config) -> list[str]:
     """Return the commands that bring limits with a diagnosed model; none where it fits.
 
@@ -151,38 +133,35 @@ def _remedy(unfit, bags, config) -> list[str]:
          "judged.yaml"])]
 
 
-def _show(proposals, told, seconds, settings, given) -> None:
+def _show(proposals, notes, settings) -> None:
     from eha_monitor.commands.table import console, show_paper, table
     from eha_monitor.estimation.results import units_of
     from eha_monitor.quantity import SYMBOLS, quantity, share
 
     to = console()
     units = units_of(settings.rig.motion)
-    rows = table("limit", "value", "of the mean", "false alarms")
+    rows = []
     for one in proposals:
         for limit in one.limits:
             value = quantity(limit.value, units[one.symbol], 4)
-            rows.add_row(f"{SYMBOLS.get(one.symbol, one.symbol)} {limit.key}",
+            rows.append((f"{SYMBOLS.get(one.symbol, one.symbol)} {limit.key}",
                          f"none (would be {value})" if limit.wide else value,
-                         f"{limit.factor:.3g}", _rate(limit.rate))
-    for one in proposals:
+                         f"{limit.factor:.3g}", _rate(limit.rate)))
         between = ("not known from one recording" if math.isnan(one.between) else
                    share(one.between, 2) if one.between else "no more than that explains")
         to.print(f"{SYMBOLS.get(one.symbol, one.symbol)}: {len(one.healthy)} recording"
                       f"{'s' * (len(one.healthy) > 1)}, mean "
                       f"{quantity(one.mean, units[one.symbol], 4)}, spread within a recording "
                       f"{share(one.within, 2)}, between recordings {between}", markup=False)
-    to.print(rows)
+    to.print(table("limit", "value", "of the mean", "false alarms", rows=rows))
     show_paper(to)
-    for sentence in _sentences(proposals, told, seconds, given):
+    for sentence in notes:
         to.print(sentence, markup=False, soft_wrap=sentence.startswith("  "))  # may be copied
 
 
 def _rate(rate: float) -> str:
-    if math.isnan(rate):
-        return "not known"
-    return (f"{100 * rate:.2f} % of recordings" if rate >= 1e-4 else
-            "less than 0.01 % of recordings")
+    return "not known" if math.isnan(rate) else (
+        f"{100 * rate:.2f} % of recordings" if rate >= 1e-4 else "less than 0.01 % of recordings")
 
 
 def _sentences(proposals, told, seconds, given) -> list[str]:
@@ -218,14 +197,6 @@ def _sentences(proposals, told, seconds, given) -> list[str]:
                 "these; conditions that none of these covers (another oil, another load) are not "
                 "included.")
     return said
-
-
-def _tree(proposals, told, seconds, given) -> dict:
-    from eha_monitor.api.answer import finite
-
-    return finite({"schema": SCHEMA, "recording_s": seconds,
-                   "notes": _sentences(proposals, told, seconds, given),
-                   "proposals": {one.symbol: one for one in proposals}})
 
 
 def _config(proposals, settings, config, seconds: float) -> str:

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from operator import attrgetter
 
 import numpy as np
 
@@ -107,27 +108,19 @@ def evidence_of_estimate(found: Estimate) -> Evidence:
     since = int(changes[-1][0]) if len(changes) else 0
     made = evidence([found.recording], found.settings, values, np.diag(variances), why,
                     since=since)
-    return replace(made, doubts={name: taint.reason
-                                 for name, taint in doubts.items()})
+    return replace(made, doubts={name: taint.reason for name, taint in doubts.items()})
 
 
-def evidence(recordings: list[Recording], settings: Settings, values: Mapping[str, float],
+def evidence(recordings: Sequence[Recording], settings: Settings, values: Mapping[str, float],
              covariance: np.ndarray, why: Mapping[str, str], diagnosed: bool = False,
              settled: bool = True, since: int = 0) -> Evidence:
-    """Return evidence with the pressures and the temperature that recordings show.
-
-    Parameters
-    ----------
-    since : sample from which the (first) recording shows what the values hold for.
-    """
+    """Return evidence with the pressures, from a sample on, and the temperature of recordings."""
     pressures = [moments(one, name, since) for one in recordings for name in ("p1", "p2")
                  if one.has("p1", "p2")]
     warmth = [float(shown[-1]) for one in recordings
               if len(shown := moments(one, "temperature", 0))]
     measured = bool(warmth) and max(warmth) - min(warmth) < SAME_OIL
-    temperature = warmth[-1] if measured else None
-    if not warmth:
-        temperature = settings.health.oil_temperature
+    temperature = (warmth[-1] if measured else None) if warmth else settings.health.oil_temperature
     channels = tuple(name for name in recordings[0].channels
                      if all(one.has(name) for one in recordings)) if recordings else ()
     return Evidence(values, covariance, settings.effects, why, channels=channels,
@@ -149,20 +142,17 @@ def moments(recording: Recording, name: str, since: int) -> np.ndarray:
     return chosen[np.isfinite(chosen)]
 
 
-def evidence_of_diagnosis(found: Diagnosis, recordings: list[Recording], settings: Settings
+def evidence_of_diagnosis(found: Diagnosis, recordings: Sequence[Recording], settings: Settings
                           ) -> Evidence:
-    """Return the evidence of a diagnosis.
-
-    Parameters
-    ----------
-    found : in SI of a linear rig, as :func:`mismatch.diagnose.diagnose` returns it.
-    recordings : that it explains.
-    """
+    """Return the evidence of a diagnosis of these recordings, in SI of a linear rig."""
     values, covariance = fitted_values(found)
     why = {}
     if "leakage" not in values:
         if any(name.partition(".")[0] in LEAKS for name in values):
-            values, covariance = with_configured(values, covariance, settings)
+            # The config's leakage, as uncertain as its tolerance says.
+            values = values | {"leakage": settings.rig.leakage}
+            covariance = wider(covariance, [
+                settings.rig.leakage * settings.rig.tolerance.log_spread("leakage")])
         else:
             why["leakage"] = UNSEEN.format(
                 "it compares healthy recordings" if found.references else
@@ -206,14 +196,6 @@ def fitted_values(found: Diagnosis) -> tuple[dict[str, float], np.ndarray]:
     return values | fixed, wider(covariance, [0.0] * len(fixed))
 
 
-def with_configured(values: dict[str, float], covariance: np.ndarray, settings: Settings
-                    ) -> tuple[dict[str, float], np.ndarray]:
-    """Return values with the config's leakage, as uncertain as its tolerance says."""
-    leakage = settings.rig.leakage
-    spread = leakage * settings.rig.tolerance.log_spread("leakage")
-    return values | {"leakage": leakage}, wider(covariance, [spread])
-
-
 def wider(covariance: np.ndarray, spread: list[float]) -> np.ndarray:
     """Return a covariance with further numbers, independent of all others."""
     size, whole = len(covariance), np.pad(covariance, (0, len(spread)))
@@ -236,20 +218,8 @@ LAWS = {
     "friction_share": "the same over the rated pressure times the smaller piston area",
     "pump_efficiency": "flow into the load over D_p ω of the config at rated speed and pressure; "
     "every leak counts as the pump's, so a leaking piston seal lowers it too",
-    "drive_lag": "time constant plus dead time from speed command to speed",
-}
+    "drive_lag": "time constant plus dead time from speed command to speed"}
 Values = Mapping[str, float]
-
-
-def of_estimate(found: Estimate) -> tuple[Indicator, ...]:
-    """Return the indicators of an estimate."""
-    return indicators(evidence_of_estimate(found), found.settings)
-
-
-def of_diagnosis(found: Diagnosis, recordings: Sequence[Recording], settings: Settings
-                 ) -> tuple[Indicator, ...]:
-    """Return the indicators of a diagnosis of these recordings."""
-    return indicators(evidence_of_diagnosis(found, list(recordings), settings), settings)
 
 
 def indicators(found: Evidence, settings: Settings) -> tuple[Indicator, ...]:
@@ -258,7 +228,7 @@ def indicators(found: Evidence, settings: Settings) -> tuple[Indicator, ...]:
     return (_leakage(found, settings), _doubted(_free_air(found, settings), "beta_e", found),
             _doubted(_damping(found, settings), "B", found), friction,
             _friction_share(friction, settings), _efficiency(found, settings),
-            _drive_lag(found, settings))
+            _drive_lag(found))
 
 
 def _doubted(made: Indicator, parameter: str, found: Evidence) -> Indicator:
@@ -270,12 +240,11 @@ def _doubted(made: Indicator, parameter: str, found: Evidence) -> Indicator:
 
 
 def _leakage(found: Evidence, settings: Settings) -> Indicator:
-    pressure = settings.health.rated_pressure
-    if pressure is None:
-        return _needs("leakage", "health.rated_pressure")
+    if lacks := _lacking("leakage", settings, "health.rated_pressure"):
+        return lacks
     if "leakage" not in found.values:
         return _unknown("leakage", found.why.get("leakage", "not identified from this recording"))
-    names = ("leakage", *_parameters(found, laws.LEAKS))
+    pressure, names = settings.health.rated_pressure, ("leakage", *_parameters(found, laws.LEAKS))
     at = f"at {quantity(pressure, 'Pa', 3)}{_temperature_words(found, settings)}"
 
     def flow(values: Values) -> float:
@@ -286,12 +255,9 @@ def _leakage(found: Evidence, settings: Settings) -> Indicator:
 
 def _efficiency(found: Evidence, settings: Settings) -> Indicator:
     health, rig = settings.health, settings.rig
-    missing = [key for key, value in (("health.rated_pressure", health.rated_pressure),
-                                      ("health.rated_speed", health.rated_speed),
-                                      ("rig.pump_displacement", rig.pump_displacement))
-               if value is None]
-    if missing:
-        return _needs("pump_efficiency", *missing)
+    if lacks := _lacking("pump_efficiency", settings, "health.rated_pressure",
+                         "health.rated_speed", "rig.pump_displacement"):
+        return lacks
     if "leakage" not in found.values:
         return _unknown("pump_efficiency",
                         found.why.get("leakage", "leakage not identified from this recording"))
@@ -329,8 +295,8 @@ def _free_air(found: Evidence, settings: Settings) -> Indicator:
         return _made("free_air", lambda v: laws.moved(v["entrained_air.alpha"],
                                                       health.air_pressure, exponent),
                      values, covariance, (), f"{at}, named by the diagnosis")
-    if health.air_free_modulus is None:
-        return _needs("free_air", "health.air_free_modulus")
+    if lacks := _lacking("free_air", settings, "health.air_free_modulus"):
+        return lacks
     if "beta_e" not in found.values:
         return _unknown("free_air", found.why.get("beta_e", "βe not identified from this "
                                                             "recording"))
@@ -358,8 +324,7 @@ def _free_air(found: Evidence, settings: Settings) -> Indicator:
 
 def _friction(found: Evidence, settings: Settings) -> Indicator:
     unit = "N·m" if settings.rig.motion == "rotary" else "N"
-    none = _not_looked_for("friction", found, laws.DRY, "dry friction", ("x",), unit)
-    if none is not None:
+    if none := _not_looked_for("friction", found, laws.DRY, "dry friction", ("x",), unit):
         return none
     total = (2.0 * float(np.mean(found.pressures)) if len(found.pressures)
              else 2.0 * settings.rig.charge_pressure)
@@ -375,11 +340,9 @@ def _friction(found: Evidence, settings: Settings) -> Indicator:
 def _friction_share(friction: Indicator, settings: Settings) -> Indicator:
     if friction.status != indicator.AVAILABLE:
         return replace(friction, name="friction_share", unit="%", law=LAWS["friction_share"])
-    missing = [key for key, value in (("health.rated_pressure", settings.health.rated_pressure),
-                                      ("rig.area_1", settings.rig.area_1),
-                                      ("rig.area_2", settings.rig.area_2)) if value is None]
-    if missing:
-        return _needs("friction_share", *missing)
+    if lacks := _lacking("friction_share", settings, "health.rated_pressure", "rig.area_1",
+                         "rig.area_2"):
+        return lacks
     stall = settings.health.rated_pressure * min(settings.rig.area_1, settings.rig.area_2)
     share = 100.0 / stall
     return Indicator("friction_share", share * friction.value, share * friction.stddev,
@@ -389,10 +352,9 @@ def _friction_share(friction: Indicator, settings: Settings) -> Indicator:
                      LAWS["friction_share"])
 
 
-def _drive_lag(found: Evidence, settings: Settings) -> Indicator:
+def _drive_lag(found: Evidence) -> Indicator:
     effects = ("drive_lag", "command_delay")
-    none = _not_looked_for("drive_lag", found, effects, "lag of the drive", ("x_d", "omega"))
-    if none is not None:
+    if none := _not_looked_for("drive_lag", found, effects, "lag of the drive", ("x_d", "omega")):
         return none
     values, covariance = found.part("drive_lag.tau", "command_delay.T")
     beside = found.beside(*effects)
@@ -445,8 +407,11 @@ def _unknown(name: str, why: str, unit: str = "", status: str = indicator.UNKNOW
                      why, LAWS[name], keys)
 
 
-def _needs(name: str, *keys: str) -> Indicator:
-    return _unknown(name, f"set {listed(keys)} in the config", status=indicator.NEEDS, keys=keys)
+def _lacking(name: str, settings: Settings, *keys: str) -> Indicator | None:
+    """Return the indicator that asks for those keys that the config does not have, or None."""
+    lacks = tuple(key for key in keys if attrgetter(key)(settings) is None)
+    return _unknown(name, f"set {listed(lacks)} in the config", status=indicator.NEEDS,
+                    keys=lacks) if lacks else None
 
 
 def _parameters(found: Evidence, effects: tuple[str, ...]) -> tuple[str, ...]:
@@ -465,9 +430,8 @@ def _with_temperature(found: Evidence, settings: Settings, names: tuple[str, ...
 
 def _thinner(values: Values, settings: Settings) -> float:
     """Return the viscosity at the recording's temperature over that at the reference."""
-    if "temperature" not in values:
-        return 1.0
-    return 1.0 / viscosity_factor(settings.viscosity, values["temperature"])
+    return 1.0 / viscosity_factor(settings.viscosity, values["temperature"]) \
+        if "temperature" in values else 1.0
 
 
 def _temperature_words(found: Evidence, settings: Settings) -> str:

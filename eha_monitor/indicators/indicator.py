@@ -61,6 +61,11 @@ class Indicator:
         return WORDS[self.name]
 
     @property
+    def silent(self) -> bool:
+        """Whether it tells nothing: keys are missing, none was named, or nobody looked."""
+        return self.status in (NEEDS, NONE) or self.message == NOT_LOOKED_FOR
+
+    @property
     def shown(self) -> str:
         """The value as people read it, in brackets in doubt, a dash where it is not reported."""
         if self.status != AVAILABLE:
@@ -83,12 +88,8 @@ def propagated(function: Callable[[Mapping[str, float]], float], values: Mapping
     """Return a function of uncertain numbers and its standard deviation.
 
     First order, with the slope taken over one standard deviation on either side, so that it is
-    the slope where the number may lie and not only where it was found.
-
-    Parameters
-    ----------
-    function : of a mapping like ``values``, returns a float.
-    covariance : (k, k) in the order of ``values``.
+    the slope where the number may lie and not only where it was found.  ``covariance`` is (k, k)
+    in the order of ``values``.
     """
     middle = function(values)
     slopes = np.zeros(len(values))
@@ -102,14 +103,10 @@ def propagated(function: Callable[[Mapping[str, float]], float], values: Mapping
 
 
 def limits_of_indicator(name: str, settings: Settings) -> tuple[float | None, float | None]:
-    """Return what an indicator or a parameter must stay above and below; None for no limit.
+    """Return what an indicator, B or beta_e must stay above and below; None for no limit.
 
     They are in the unit in which the indicator is shown; of B and beta_e they are the ERROR
     thresholds, or those of WARN where there is no other.
-
-    Parameters
-    ----------
-    name : of an indicator, or ``B`` or ``beta_e``.
     """
     if name in WORST or name == "damping":
         limits = getattr(settings.thresholds, WORST.get(name, "viscous_damping"))

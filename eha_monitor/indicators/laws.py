@@ -16,12 +16,8 @@ def walther(at_40: float, at_100: float, temperature: float) -> float:
     """Return the kinematic viscosity in mm²/s at ``temperature`` in °C.
 
     log log (nu + 0.7) = A - B log T, T in K (Walther 1931; ASTM D341, there for 2 mm²/s and
-    more), through the two points that every data sheet prints.
-
-    Parameters
-    ----------
-    at_40, at_100 : kinematic viscosity at 40 and at 100 °C, mm²/s; the first is the larger.
-    temperature : °C.
+    more), through the two points that every data sheet prints: ``at_40`` and ``at_100`` °C, the
+    first is the larger.
     """
     def height(viscosity: float) -> float:
         return math.log(math.log(viscosity + 0.7))
@@ -109,10 +105,7 @@ def volumetric_efficiency(found: Mapping[str, float], displacement: float, speed
 def dry_friction(found: Mapping[str, float], pressures: float) -> float:
     """Return the dry friction at its largest (breakaway, the worse direction), N.
 
-    Parameters
-    ----------
-    found : parameters of :data:`DRY`.
-    pressures : p1 + p2, Pa.
+    ``found`` are parameters of :data:`DRY`, ``pressures`` is p1 + p2, Pa.
     """
     force = sum(found.get(f"{effect}.F_c", 0.0) for effect in DRY)
     force += found.get("stribeck_friction.F_d", 0.0) + abs(found.get("asymmetric_friction.dF",
@@ -123,11 +116,7 @@ def dry_friction(found: Mapping[str, float], pressures: float) -> float:
 def air_compliance(pressures: np.ndarray, exponent: float) -> float:
     """Return what a volume share of one of free air at ``P_ATM`` adds to 1/beta_e, 1/Pa.
 
-    Mean of (1/(n p)) (p_atm/p)^(1/n) over the pressures that the recording shows.
-
-    Parameters
-    ----------
-    pressures : (m,) absolute, Pa.
+    Mean of (1/(n p)) (p_atm/p)^(1/n) over the pressures, (m,) absolute, Pa.
     """
     return float(np.mean([_UNIT_AIR(float(p), 1.0, exponent) for p in pressures]))
 
@@ -138,12 +127,8 @@ def free_air(modulus: float, air_free: float, exponent: float, pressures: np.nda
 
     1/beta_e = 1/beta_oil + (alpha/(n p)) (p_atm/p)^(1/n): oil and air in parallel (Wood 1930 for
     the isothermal mixture; polytropic: Yu, Chen, Lu 1994; Gholizadeh, Burton, Schoenau 2011),
-    for alpha well below one.
-
-    Parameters
-    ----------
-    modulus, air_free : beta_e as found and as it is without free air, Pa.
-    exponent : n of the air.
+    for alpha well below one.  ``modulus`` and ``air_free`` are beta_e as found and as it is
+    without free air, Pa; ``exponent`` is n.
     """
     share = (1.0 / modulus - 1.0 / air_free) / air_compliance(pressures, exponent)
     return moved(share, at, exponent)

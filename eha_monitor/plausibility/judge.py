@@ -73,16 +73,9 @@ class Plausibility:
 
 
 def plausibility_of(recording: Recording, settings: Settings) -> Plausibility:
-    """Ask whether a recording and its config can be of one rig.
-
-    Parameters
-    ----------
-    recording : aligned channels as the config's channel map reads them.
-    settings : rig and channel map.
-    """
+    """Ask whether a recording, as the config's channel map reads it, and its rig are of one."""
     moments = moments_of(recording)
-    same = duplicates(moments)
-    if same:
+    if same := duplicates(moments):
         return Plausibility(same, True)
     reading = reading_of(moments, settings)
     best, rivals = explain(reading)
@@ -311,8 +304,7 @@ def correction_of(mistake: Mistake, settings: Settings) -> dict[str, Any]:
             if settings.table.columns else {}
     found: dict[str, Any] = {}
     for role, factor in mistake.factors.items():
-        channel = settings.channels.get(role)
-        if channel is not None:
+        if channel := settings.channels.get(role):
             found.setdefault("channels", {})[role] = {
                 **({"unit": ""} if channel.unit else {}),
                 "scale": rounded(channel.gain * factor),

@@ -6,7 +6,7 @@ is off by a power of ten is rarer; one that only an odd rig would explain is rar
 """
 
 from dataclasses import dataclass, field, replace
-from itertools import combinations
+from itertools import combinations, product
 from math import log, log10, pi
 
 from eha_monitor.plausibility.relations import Check, Reading, Source
@@ -28,7 +28,7 @@ FORCES = {"kN": 1e3, "kgf": 9.80665, "daN": 10.0, "mN": 1e-3}
 TORQUES = {"kN·m": 1e3, "mN·m": 1e-3, "N·cm": 1e-2}
 VELOCITIES = {"mm/s": 1e-3, "cm/s": 1e-2, "m/min": 1.0 / 60.0}
 TIMES = {"milliseconds": 1e-3, "microseconds": 1e-6}
-TENS = (10.0, 100.0, 1000.0, 1e4, 1e5, 1e6)
+TENS = tuple(factor for ten in (10.0, 100.0, 1000.0, 1e4, 1e5, 1e6) for factor in (ten, 1.0 / ten))
 # Numbers of the rig: keys that go together, name, and what people mix up besides powers of ten.
 NUMBERS = (
     (("mass",), "mass", {}),
@@ -116,19 +116,21 @@ def unit_mistakes(roles: tuple[str, ...], units: dict[str, float], si: str,
         for place, (unit, factor) in enumerate({si: 1.0, **units}.items()):
             add(factor / units[taken], f"like {unit}, not {taken}",
                 RARE if place > 2 else EVERYDAY)
-    for place, (unit, factor) in enumerate(units.items() if not said else ()):
+    free = {} if said else units
+    for place, (unit, factor) in enumerate(free.items()):
         add(factor, f"like {unit}, not {si}", RARE if place else EVERYDAY)
-    for unit, factor in units.items() if not said else ():
+    for unit, factor in free.items():
         add(1.0 / factor, f"like {si}, scaled as {unit}", RARE)
-    for unit, factor in units.items() if not said else ():
-        for taken, other in units.items():
-            add(factor / other, f"like {unit}, scaled as {taken}", RAREST)
-    for ten in TENS:
-        for factor in (ten, 1.0 / ten):
-            size = f"{1 / factor:g} times too large" if factor < 1 else (
-                f"{factor:g} times too small")
-            add(factor, f"{size} for {si}", RAREST + DECADE * log10(ten))
+    for (unit, factor), (taken, other) in product(free.items(), repeat=2):
+        add(factor / other, f"like {unit}, scaled as {taken}", RAREST)
+    for factor in TENS:
+        add(factor, f"{wrong_size(factor)} for {si}", RAREST + DECADE * abs(log10(factor)))
     return list(found.values())
+
+
+def wrong_size(factor: float) -> str:
+    """Return what a number is that times ``factor`` is the meant one."""
+    return (f"{1 / factor:g} times too large" if factor < 1 else f"{factor:g} times too small")
 
 
 def mistakes_for(reading: Reading, given: tuple[Check, ...]) -> list[Mistake]:
@@ -145,8 +147,7 @@ def mistakes_for(reading: Reading, given: tuple[Check, ...]) -> list[Mistake]:
         found.append(Mistake("swapped", pair, f"{pair[0]} and {pair[1]} look swapped",
                              EVERYDAY if usual else RAREST, swap=pair))
     groups = [(role,) for role in has]
-    groups += [pair for pair in (("x", "x_d"), ("p1", "p2"), ("x", "v"))
-               if set(pair) <= set(has)]
+    groups += [pair for pair in (("x", "x_d"), ("p1", "p2"), ("x", "v")) if set(pair) <= set(has)]
     if {"x", "x_d", "v"} <= set(has):
         groups.append(("x", "x_d", "v"))
     for group in groups:
@@ -180,15 +181,10 @@ def number_mistakes(reading: Reading) -> list[Mistake]:
         looks = "look" if len(keys) > 1 else "looks"
         prior = RARE if len(keys) > 1 or f"{keys[0][:-1]}1" not in reading.rig else RAREST
         values = " and ".join(f"{reading.rig[key]:.3g}" for key in dict.fromkeys(keys))
-        for factor in (one for ten in TENS for one in (ten, 1.0 / ten)):
-            size = f"{factor:g} times too small" if factor > 1 else (
-                f"{1 / factor:g} times too large")
-            found.append(Mistake("unit", keys, f"{name} ({values} in the config) {looks} {size}",
+        for factor, words in (*((factor, wrong_size(factor)) for factor in TENS),
+                              *((factor, f"wrong: {words}") for words, factor in others.items())):
+            found.append(Mistake("unit", keys, f"{name} ({values} in the config) {looks} {words}",
                                  prior + DECADE * abs(log10(factor)),
-                                 numbers=dict.fromkeys(keys, factor)))
-        for words, factor in others.items():
-            found.append(Mistake("unit", keys, f"{name} ({values} in the config) {looks} wrong: "
-                                 f"{words}", prior + DECADE * abs(log10(factor)),
                                  numbers=dict.fromkeys(keys, factor)))
     return found
 

@@ -153,10 +153,7 @@ def same_numbers(one: str, values: np.ndarray, other: str, others: np.ndarray, s
 
 
 def level_of(values: np.ndarray, dt: float) -> Level:
-    """Return where a channel lies; ``values`` (n,) with NaN where missing, ``dt`` s.
-
-    Means over ``MEAN_OF`` are looked at: a sensor's noise is no level.
-    """
+    """Return where a channel, (n,), lies: by means over ``MEAN_OF``, as noise is no level."""
     values = values[np.isfinite(values)]
     # Not more than a hundredth of the recording: its clock may be what is wrong.
     length = max(min(round(MEAN_OF / dt), len(values) // 100), 1)
@@ -213,14 +210,7 @@ def spectrum(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the spectrum of the odd continuation about both ends, and the line taken out.
 
     With the line through its ends taken out, a record continued oddly has no jump and no kink
-    where it repeats, so that derivatives can be taken in the spectrum.
-
-    Parameters
-    ----------
-    values : (n,) without NaN.
-
-    Returns
-    -------
+    where it repeats, so that derivatives can be taken in the spectrum.  Of (n,) without NaN:
     (n,) complex, bin k at k/(2 (n - 1)) of the sampling rate; (n,) the line.
     """
     line = np.linspace(values[0], values[-1], len(values))
@@ -248,12 +238,7 @@ def floor_of(power: np.ndarray) -> float:
 
 
 def derivatives(values: np.ndarray, band: int, dt: float) -> tuple[list[np.ndarray], list[float]]:
-    """Return a channel below ``band`` with its derivatives, and the noise's variance in each.
-
-    Returns
-    -------
-    columns : each (m,), SI; variances.
-    """
+    """Return a channel below ``band`` with its derivatives, (m,) SI, and each one's noise."""
     n = len(values)
     bent, line = spectrum(values)
     bins = np.arange(len(bent))

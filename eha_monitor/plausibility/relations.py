@@ -98,11 +98,9 @@ class Ratio:
 
 def ratio(reading: Reading, left: np.ndarray, right: np.ndarray, *beside: np.ndarray
           ) -> Ratio | None:
-    """Regress ``left`` on ``right`` and ``beside``; None where they do not vary on their own.
+    """Regress ``left`` on ``right`` and ``beside``, each (m,) weights of the columns.
 
-    Parameters
-    ----------
-    left, right, beside : (m,) weights of the columns.
+    None where they do not vary on their own.
     """
     sides = np.array([left, right, *beside])
     c = (sides @ reading.moments.gram @ sides.T).tolist()
@@ -112,8 +110,7 @@ def ratio(reading: Reading, left: np.ndarray, right: np.ndarray, *beside: np.nda
     whole, other = c[0][0], c[1][1]
     unsure = (UNSURE * reading.one_way * float(left @ reading.moments.mean)) ** 2
     swept(c)
-    if (c[1][1] < DISTINCT * other or c[0][0] < 1e-12 * whole
-            or whole < VARIES**2 * unsure):
+    if (c[1][1] < DISTINCT * other or c[0][0] < 1e-12 * whole or whole < VARIES**2 * unsure):
         return None
     # White noise of the sensors is no physics that is missing, and draws no slope to zero.
     signal = c[1][1] - right_blur
@@ -141,8 +138,7 @@ def swept(c: list[list[float]]) -> None:
             continue
         row = c[p]
         for i in range(p):
-            f = c[i][p] / pivot
-            if f:
+            if f := c[i][p] / pivot:
                 line = c[i]
                 for j in range(p):
                     line[j] -= f * row[j]
@@ -209,14 +205,10 @@ class Check:
 
 
 def odd(ln_ratio: float, spread: float, rho: float = 1.0) -> float:
-    """Return the penalty of a ratio away from 1.
+    """Return the penalty of a ratio away from 1, of ``spread`` as honest standard deviation.
 
-    Parameters
-    ----------
-    ln_ratio : natural logarithm of the ratio.
-    spread : honest relative standard deviation.
-    rho : correlation that it rests on.  Where all that is unexplained were coherent with the
-        regressor, the slope would be off by sqrt(1/rho^2 - 1); half of that is taken.
+    ``rho`` is the correlation that it rests on.  Where all that is unexplained were coherent with
+    the regressor, the slope would be off by sqrt(1/rho^2 - 1); half of that is taken.
     """
     unsure = 0.5 * sqrt(max(1.0 / max(rho * rho, 1e-12) - 1.0, 0.0))
     z = ln_ratio / sqrt(spread**2 + unsure**2)
@@ -245,10 +237,7 @@ def checks(reading: Reading) -> Iterator[Check]:
     """Yield every relation that the reading's channels and numbers allow."""
     for relation in RELATIONS:
         found = relation(reading)
-        if isinstance(found, Check):
-            yield found
-        elif found is not None:
-            yield from found
+        yield from [found] if isinstance(found, Check) else found or ()
 
 
 def driving_force(reading: Reading) -> np.ndarray | None:
@@ -267,8 +256,7 @@ def force_balance(reading: Reading) -> list[Check] | None:
     name = "pressure force" if reading.has("p1", "p2") else "force"
     x, v, a = (reading.column("x", order) for order in range(3))
     found = []
-    inertia = ratio(reading, force, a, v, x, reading.column("x", DIRECTION))
-    if inertia is not None:
+    if inertia := ratio(reading, force, a, v, x, reading.column("x", DIRECTION)):
         mass = reading.rig["mass"]
         unit = "kg·m²" if reading.rotary else "kg"
         # Friction and oil that the motion does not explain draw a slope of their own: one that is
@@ -281,19 +269,16 @@ def force_balance(reading: Reading) -> list[Check] | None:
             f"config says {figure(mass)}", f"{figure(inertia.slope)} {unit}"), Phrase(
             f"{name} and acceleration have correlation {inertia.rho:.2f}",
             f"{inertia.rho:+.2f}"), inertia.rho < 0, inertia.slope / mass))
-    friction = ratio(reading, force, v, a, x)
-    if friction is not None:
+    if friction := ratio(reading, force, v, a, x):
         nominal = reading.rig["viscous_damping"] or friction.slope
         guessed = "damping" if "viscous_damping" in reading.said else "guessed"
-        penalty = cost(friction.slope / nominal if nominal else 1.0, friction.rho,
-                       SPREAD[guessed])
+        penalty = cost(friction.slope / nominal if nominal else 1.0, friction.rho, SPREAD[guessed])
         found.append(Check("friction", penalty, Phrase(
             f"{name} over velocity is a damping of {figure(friction.slope)} where the config says "
             f"{figure(nominal)}", f"{figure(friction.slope)}"), Phrase(
             f"{name} and velocity have correlation {friction.rho:.2f}",
             f"{friction.rho:+.2f}"), friction.rho < 0))
-    explained = inertia or friction
-    if explained is not None:
+    if explained := inertia or friction:
         found.append(Check("force", 0.0, Phrase(
             f"the motion explains {100 * explained.share:.0f} % of the {name}",
             f"{100 * explained.share:.0f} %"), fit=unexplained(explained.share)))
@@ -310,13 +295,13 @@ def times(value: float) -> str:
     return f"{value:.2f} times" if 0.1 <= abs(value) < 100 else f"{figure(value)} times"
 
 
-def slope_check(name: str, found: Ratio, what: str, of: str, spread: float | None = None
-                ) -> Check:
-    """Return the check of a slope that should be 1, e.g. ``what`` is 0.98 times ``of``.
+def slope_check(name: str, found: Ratio | None, what: str, of: str, spread: float | None = None
+                ) -> Check | None:
+    """Return the check of a slope that should be 1, e.g. ``what`` is 0.98 times ``of``; or None.
 
     Its logarithm scatters by ``spread``, without it by what ``SPREAD`` has for the name.
     """
-    return Check(name, cost(found.slope, found.rho, spread or SPREAD[name]),
+    return found and Check(name, cost(found.slope, found.rho, spread or SPREAD[name]),
                  Phrase(f"{what} is {times(found.slope)} {of}", f"{times(found.slope)}"),
                  Phrase(f"{what} and {of} have correlation {found.rho:.2f}",
                         f"{found.rho:+.2f}"), found.rho < 0, found.slope,
@@ -342,8 +327,6 @@ def flow_balance(reading: Reading) -> Check | None:
         return None
     found = ratio(reading, displacement * speed[0], reading.column("x", 1, area),
                   reading.column("x", 2))
-    if found is None:
-        return None
     return slope_check("flow", found, speed[1], "the piston's flow A·v")
 
 
@@ -355,11 +338,9 @@ def drive(reading: Reading) -> Check | None:
     error = reading.column("x_d", 0, gain) - reading.column("x", 0, gain)
     speed, lag = reading.column("omega"), reading.column("omega", 1)
     found = ratio(reading, speed, error, lag)
-    if found is None:
-        return None
     # Most controllers feed the demand's own rate forward, and the error is then a small rest.
     led = ratio(reading, speed, error, lag, reading.column("x_d", 1))
-    if led is not None and 1.0 - led.share < FORWARD * (1.0 - found.share):
+    if found and led and 1.0 - led.share < FORWARD * (1.0 - found.share):
         return slope_check("drive", led, "the pump's speed beside a feed-forward",
                            "K_pos (x_d - x)", SPREAD["fed"])
     return slope_check("drive", found, "the pump's speed", "K_pos (x_d - x)")
@@ -371,10 +352,8 @@ def tracking(reading: Reading) -> list[Check] | None:
         return None
     x, v, a = (reading.column("x", order) for order in range(3))
     demanded = reading.column("x_d")
-    found = []
-    follows = ratio(reading, demanded, x, v, a)
-    if follows is not None:
-        found.append(slope_check("tracking", follows, "x_d", "x"))
+    follows = slope_check("tracking", ratio(reading, demanded, x, v, a), "x_d", "x")
+    found = [follows] if follows else []
     behind = ratio(reading, demanded, v, x, a)
     if behind is not None and behind.share > 0.5:
         # A lag that is a small part of the motion may well be a feed-forward's.
@@ -411,12 +390,11 @@ def stiffness(reading: Reading) -> Check | None:
 
 def stroke(reading: Reading) -> Check | None:
     """The oil that the piston sweeps is less than what both chambers hold."""
-    keys = ("area_1", "area_2", "volume_1", "volume_2")
-    one, two, oil_1, oil_2 = (reading.rig[key] for key in keys)
-    if "x" not in reading.roles or None in (one, two, oil_1, oil_2):
-        return None
-    source = reading.roles["x"]
-    if source.channel not in reading.moments.levels:
+    one, two, oil_1, oil_2 = (reading.rig[key] for key in (
+        "area_1", "area_2", "volume_1", "volume_2"))
+    source = reading.roles.get("x")
+    if source is None or source.channel not in reading.moments.levels or None in (
+            one, two, oil_1, oil_2):
         return None
     swept = 0.5 * (one + two) * abs(source.factor) * reading.moments.levels[source.channel].span
     share = swept / (oil_1 + oil_2)
@@ -444,10 +422,8 @@ def measured_speed(reading: Reading) -> Check | None:
     """The velocity channel is the position's derivative."""
     if not reading.has("x", "v"):
         return None
-    found = ratio(reading, reading.column("v"), reading.column("x", 1))
-    if found is None:
-        return None
-    return slope_check("speed", found, "v", "the position's derivative")
+    return slope_check("speed", ratio(reading, reading.column("v"), reading.column("x", 1)), "v",
+                       "the position's derivative")
 
 
 def both_forces(reading: Reading) -> Check | None:
@@ -457,8 +433,6 @@ def both_forces(reading: Reading) -> Check | None:
         return None
     found = ratio(reading, reading.column("p1", 0, one) - reading.column("p2", 0, two),
                   reading.column("force"))
-    if found is None:
-        return None
     return slope_check("both_forces", found, "the pressure force", "the measured one")
 
 
@@ -475,17 +449,12 @@ def sizes(reading: Reading) -> list[Check]:
         off = log(span[0] / size) if size < span[0] else log(size / span[1])
         if size > 0 and off > 0:
             kind = "moves over" if role in ("x", "x_d") else "reaches"
-            shown = f"{figure(size)} {unit_of(role, reading.rotary)}"
+            unit = CHANNEL_UNITS[role]
+            shown = f"{figure(size)} {ROTARY.get(unit, unit) if reading.rotary else unit}"
             only = " only" if size < span[0] else ""
             found.append(Check(f"size of {role}", odd(off, SPREAD["size"]),
                                Phrase(f"{role} {kind} {shown}{only}", shown)))
     return found
-
-
-def unit_of(role: str, rotary: bool) -> str:
-    """Return the SI unit of a channel."""
-    unit = CHANNEL_UNITS[role]
-    return ROTARY.get(unit, unit) if rotary else unit
 
 
 def clock(reading: Reading) -> Check | None:

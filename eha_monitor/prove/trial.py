@@ -205,7 +205,7 @@ def on_rig(cases: tuple[Case, ...], settings: Settings, source: str) -> tuple[Ca
 SCHEMA = "eha_monitor/proof/1"
 # What has a part in an answer.
 ROOMS = ("physics", "estimation", "balances", "mismatch", "recordings", "settings", "plausibility",
-         "api", "commands/diagnose.py", "prove/blind.py", "words.py")
+         "api", "commands/answers.py", "prove/blind.py", "words.py")
 FEW = 4  # cases that are made without processes of their own
 
 

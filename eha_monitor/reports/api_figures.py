@@ -1,7 +1,6 @@
 """What ``plot()`` of the API draws, and the planned motion of ``identify``."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -12,7 +11,8 @@ from eha_monitor.physics.simulator import demanded_position, total_duration
 from eha_monitor.quantity import Scale
 from eha_monitor.recordings.columns import sampled
 from eha_monitor.recordings.recording import Recording
-from eha_monitor.reports import diagnosis_figures, estimate_figures
+from eha_monitor.reports import diagnosis_figures as figures
+from eha_monitor.reports import estimate_figures
 from eha_monitor.reports import figure as fig
 from eha_monitor.reports.still_image import Drawing, drawn, words_drawn
 from eha_monitor.reports.traces import robust_range
@@ -34,13 +34,7 @@ _X, _V, _P1, _P2 = 0, 1, 2, 3  # columns of a prediction
 
 def recording_drawing(recording: Recording, names: Sequence[str], units: Mapping[str, str]
                       ) -> Drawing:
-    """Draw channels against time, those of one quantity on the same axes.
-
-    Parameters
-    ----------
-    names : channels, in order.
-    units : channel -> SI unit.
-    """
+    """Draw channels, by name, against time; those of one quantity on the same axes."""
     groups: dict[str, list[str]] = {}
     for name in names:
         groups.setdefault(_TOGETHER[name], []).append(name)
@@ -52,11 +46,9 @@ def recording_drawing(recording: Recording, names: Sequence[str], units: Mapping
         columns = [sampled(recording.channels[name]) for name in members]
         scale = fig.scale_of(np.concatenate(columns), units[members[0]])
         low, high, _ = robust_range(columns)
-        last = len(panels) == len(groups) - 1
-        panel = fig.Panel(time if last else replace(time, name=""),
-                          fig.Side(quantity, scale, limits=fig.padded(low, high)))
-        colours = fig.STAGE_ONE, fig.STAGE_TWO
-        for name, values, colour in zip(members, columns, colours, strict=False):
+        panel = fig.Panel(time, fig.Side(quantity, scale, limits=fig.padded(low, high)))
+        for name, values, colour in zip(members, columns, (fig.STAGE_ONE, fig.STAGE_TWO),
+                                        strict=False):
             every = -(-len(recording) // max(len(values), 1))
             panel.signal(np.arange(len(values)) * every * step, values,
                          _LABELS[name], colour, width=1.2, legend=len(members) > 1)
@@ -80,21 +72,20 @@ def diagnosis_drawing(found: Diagnosis, what: str) -> Drawing:
     the first signal of unseen data with both models running free; ``B`` and ``beta_e`` a
     parameter as each part of the record gives it.
     """
-    found = diagnosis_figures.presentable(found)
+    found = figures.presentable(found)
     if what == "missing":
-        curves = diagnosis_figures.informative(found)
-        figure = (diagnosis_figures.learned_figure(found.learned[0]) if found.learned
-                  else diagnosis_figures.curve_figure(found, curves[0], large=True) if curves
-                  else None)
-        return _drawn(figure, found.message)
+        curves = figures.informative(found)
+        return _drawn(figures.learned_figure(found.learned[0]) if found.learned
+                      else figures.curve_figure(found, curves[0], large=True) if curves
+                      else None, found.message)
     if what == "fit":
         compared = bool(found.effects or found.rig_data or found.learned or found.pieces
                         or found.references)
-        made = (diagnosis_figures.overlay_figure(one, compared) for one in found.overlays)
+        made = (figures.overlay_figure(one, compared) for one in found.overlays)
         return _drawn(next(filter(None, made), None),
                       "No data were held out to run the models on.")
-    return _drawn(diagnosis_figures.agreement_figure(what, found.agreement, found.before.get(what),
-                                   found.after.get(what)),
+    return _drawn(figures.agreement_figure(what, found.agreement, found.before.get(what),
+                                           found.after.get(what)),
                   f"{PARAMETER_WORDS[what]}: no value from parts of the recording")
 
 
@@ -103,13 +94,7 @@ DIAGNOSIS_DRAWINGS = {what: partial(diagnosis_drawing, what=what)
 
 
 def motion_drawing(proposed: tuple[dict[str, Segment], str] | None, motion: str) -> Drawing:
-    """Draw a proposed motion, demanded position against time.
-
-    Parameters
-    ----------
-    proposed : its segments and its sentence, or None.
-    motion : of the rig, ``linear`` or ``rotary``.
-    """
+    """Draw a proposed motion, segments and sentence, of a ``linear`` or ``rotary`` rig."""
     if proposed is None:
         return words_drawn("No motion is proposed: nothing is in doubt, or no motion resolves it.")
     segments, words = proposed
@@ -151,14 +136,11 @@ def motion_figure(x_d: np.ndarray, shown: np.ndarray, bounds: Experiment, rig: R
     panels = []
     for i, (name, unit, limits, signals) in enumerate(rows):
         every = np.concatenate([np.array(limits), *(values for values, _, _ in signals)])
-        last = i == len(rows) - 1
-        panel = fig.Panel(fig.Side("time" if last else "", Scale(1.0, "s" if last else ""),
-                                   limits=(0.0, float(time[-1]))),
+        panel = fig.Panel(fig.Side("time", Scale(1.0, "s"), limits=(0.0, float(time[-1]))),
                           fig.Side(name, fig.scale_of(every, unit),
                                    limits=fig.padded(float(every.min()), float(every.max()), 0.1)))
         for values, label, colour in signals:
-            panel.signal(time, values, label, colour, width=1.3,
-                         legend=len(signals) > 1)
+            panel.signal(time, values, label, colour, width=1.3, legend=len(signals) > 1)
         for at, told in zip(limits, ("limit" if not i else "", *limits), strict=False):
             panel.add(fig.Level(at, told if isinstance(told, str) else "", fig.ERROR_LINE,
                                 dash="dash"))

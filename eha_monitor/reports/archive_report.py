@@ -28,12 +28,12 @@ from eha_monitor.mismatch.diagnosis import Value
 from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.quantity import SYMBOLS, Scale, number, quantity, with_uncertainty
 from eha_monitor.reports import figure as fig
-from eha_monitor.reports.diagnosis_words import value_words
-from eha_monitor.reports.estimate_figures import add_limits, is_near, limits_of
+from eha_monitor.reports.diagnosis_words import rivals, value_words
+from eha_monitor.reports.estimate_figures import add_limits, far_limits, is_near, limits_of
 from eha_monitor.reports.estimate_report import STATUS_WORDS
 from eha_monitor.reports.page import Cell, Table, render, table
 from eha_monitor.settings.monitor import Settings
-from eha_monitor.words import PARAMETER_WORDS, effect_words, listed, probability
+from eha_monitor.words import PARAMETER_WORDS, effect_words, probability
 
 DAY = 86400.0  # s
 _ENLARGED = 0.4  # share of the picture with the limits below which the values get one of their own
@@ -120,9 +120,8 @@ def _day(time: float) -> str:
 
 def _from_now(seconds: float) -> str:
     days = seconds / DAY
-    if days < 1.0:
-        return "now"
-    return f"in {days:.0f} days" if days < 100 else f"in {days / 30.4:.0f} months"
+    return "now" if days < 1.0 else (
+        f"in {days:.0f} days" if days < 100 else f"in {days / 30.4:.0f} months")
 
 
 # ---- drawn ----------------------------------------------------------------------------------
@@ -145,10 +144,7 @@ def history_block(found: History, settings: Settings) -> fig.Block:
     close = _range(found, everything=False)
     if close[1] - close[0] < _ENLARGED * (view[1] - view[0]):
         pictures.append(_figure(found, close, lines, "enlarged"))
-    far = [f"{words} {quantity(limit, found.unit)}" for limit, words in lines
-           if limit not in near]
-    if far:
-        notes.append(f"Outside the plot: {', '.join(far)}.")
+    notes += far_limits([line for line in lines if line[0] not in near], found.unit)
     if found.undated:
         notes.append(f"{found.undated} more with stamps that are not calendar times: not shown.")
     return fig.Block(f"history-{found.name}", title, tuple(pictures), tuple(notes))
@@ -301,43 +297,35 @@ def histories_of(rows: Sequence[dict], command: str, made_with: str, settings: S
 
 def _facts(rows: Sequence[dict], command: str, settings: Settings) -> list[tuple[str, str]]:
     """Return the facts at the head of the page."""
-    facts = [("Command", command), ("Rig", settings.rig.name),
-             ("Recordings", str(len(rows)))]
-    starts = sorted(row["start"] for row in rows if row.get("start"))
-    if starts:
-        facts.append(("From", _moment(starts[0])))
-        facts.append(("To", _moment(starts[-1])))
+    facts = [("Command", command), ("Rig", settings.rig.name), ("Recordings", str(len(rows)))]
+    if starts := [row["start"] for row in rows if row.get("start")]:
+        facts += [("From", _moment(min(starts))), ("To", _moment(max(starts)))]
     seconds = sum(row.get("duration_s") or 0.0 for row in rows)
     facts.append(("Recorded", f"{number(seconds / 3600, 3)} h" if seconds > 3600 else
                   f"{number(seconds / 60, 3)} min" if seconds > 120 else
                   quantity(seconds, "s", 3)))
-    last = max((row["answered"] for row in rows if row.get("answered")), default=None)
-    if last:
+    if last := max((row["answered"] for row in rows if row.get("answered")), default=None):
         facts.append(("Last answer", _moment(last)))
     return facts
 
 
 def summary_words(rows: Sequence[dict], command: str) -> str:
     """Return the count of what was found, in one or two sentences."""
-    broken = sum(bool(row.get("error")) for row in rows)
     answered = [row for row in rows if not row.get("error")]
+    broken = len(rows) - len(answered)
     alarms = Counter(row.get("alarm") for row in answered)
-    parts = [f"{alarms[level]} with {level}" for level in ("ERROR", "WARN") if alarms[level]]
-    if alarms[NOT_JUDGED]:
-        parts.append(f"{alarms[NOT_JUDGED]} {NOT_JUDGED}")
-    words = [", ".join(parts) if parts else "no alarm at the end of any recording"]
-    misfits = sum(row.get("model") == "mismatch" for row in answered)
-    if misfits:
+    parts = [f"{alarms[level]} {how}{level}" for level, how in (
+        ("ERROR", "with "), ("WARN", "with "), (NOT_JUDGED, "")) if alarms[level]]
+    words = [", ".join(parts) or "no alarm at the end of any recording"]
+    if misfits := sum(row.get("model") == "mismatch" for row in answered):
         words.append(f"in {misfits} the model does not fit")
     if command == "diagnose":
         verdicts = Counter(row.get("verdict") for row in answered)
         words.append("verdicts: " + (", ".join(
             f"{count} {str(name).replace('_', ' ')}" for name, count in verdicts.most_common())
             or "none"))
-    text = f"{len(answered)} of {len(rows)} recordings were processed: {'; '.join(words)}."
-    if broken:
-        text += f" {broken} failed."
-    return text
+    return (f"{len(answered)} of {len(rows)} recordings were processed: {'; '.join(words)}."
+            + (f" {broken} failed." if broken else ""))
 
 
 def _effect_counts(rows: Sequence[dict]) -> Table:
@@ -378,9 +366,9 @@ def rig_phrase(number: dict) -> str:
 
 def _phrase(words: str, found: dict) -> str:
     chance = found.get("probability")
-    rivals = [effect_words(name) for name in found["indistinguishable_from"] or ()]
+    others = rivals(found["indistinguishable_from"] or ())
     return (words + ("" if chance is None else f", {probability(chance)}")
-            + (f", or {listed(rivals, 'or')}" if rivals else ""))
+            + (f", or {others}" if others else ""))
 
 
 def _kind(rows: Sequence[dict]) -> str:

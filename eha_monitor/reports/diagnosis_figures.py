@@ -4,21 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from eha_monitor.mismatch.diagnosis import (
-    Agreement,
-    Diagnosis,
-    LearnedTerm,
-    Overlay,
-    Value,
-)
-from eha_monitor.mismatch.diagnosis import (
-    Curve as MissingTerm,
-)
+from eha_monitor.mismatch.diagnosis import Agreement, Diagnosis, LearnedTerm, Overlay, Value
+from eha_monitor.mismatch.diagnosis import Curve as MissingTerm
 from eha_monitor.physics import signals
 from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.quantity import SYMBOLS
 from eha_monitor.reports import figure as fig
-from eha_monitor.reports.traces import LARGEST, robust_range, tamed
+from eha_monitor.reports.traces import LARGEST, robust_range, with_tamed
 from eha_monitor.words import PARAMETER_WORDS, effect_words, listed
 
 # What is measured is dark grey, the model before orange, the model after blue.
@@ -47,16 +39,12 @@ def presentable(found: Diagnosis) -> Diagnosis:
     def known(values: dict[str, Value]) -> dict[str, Value]:
         return {name: value for name, value in values.items() if abs(value.value) < LARGEST}
 
-    curves = tuple(replace(curve, x=tamed(curve.x), measured=tamed(curve.measured),
-                           spread=np.abs(tamed(curve.spread)), modelled=tamed(curve.modelled))
-                   for curve in found.curves)
-    overlays = tuple(replace(one, time=tamed(one.time), measured=tamed(one.measured),
-                             before=tamed(one.before), after=tamed(one.after))
-                     for one in found.overlays)
+    curves = tuple(replace(curve, spread=np.abs(curve.spread))
+                   for curve in map(with_tamed, found.curves))
     agreement = tuple(replace(part, before=known(part.before), after=known(part.after))
                       for part in found.agreement)
-    return replace(found, curves=curves, overlays=overlays, agreement=agreement,
-                   before=known(found.before), after=known(found.after))
+    return replace(found, curves=curves, overlays=tuple(map(with_tamed, found.overlays)),
+                   agreement=agreement, before=known(found.before), after=known(found.after))
 
 
 def axis_words(name: str) -> str:
@@ -217,13 +205,12 @@ def overlay_figure(overlay: Overlay, with_after: bool = True,
                                       limits=fig.padded(low, high)))
     low, high, _ = robust_range([overlay.measured], [values for _, values, *_ in models])
     words = overlay.signal.replace("_", " ")
-    top = fig.Panel(replace(time, name=""), fig.Side(words, scale, limits=fig.padded(low, high)))
+    top = fig.Panel(time, fig.Side(words, scale, limits=fig.padded(low, high)))
     bottom.add(fig.Level(0.0, width=0.8))
     top.signal(t, overlay.measured, "measured", SEEN, width=3.2, opacity=0.55)
     for (name, values, colour, dash), error in zip(models, errors, strict=True):
         top.signal(t, values, name, colour, width=1.3, dash=dash)
-        bottom.signal(t, error, f"{name}, error", colour, width=1.1,
-                      dash=dash, legend=False)
+        bottom.signal(t, error, f"{name}, error", colour, width=1.1, dash=dash, legend=False)
     return fig.Figure((top, bottom), f"{words}: measured and simulated by both models, and their "
                                  "errors", (1.0, 1.0), (LARGE[0], LARGE[1] + 40), on_time=True,
                       stretch=f"{start:.4g} to {stop:.4g} s")

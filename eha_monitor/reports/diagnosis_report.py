@@ -22,11 +22,11 @@ from eha_monitor.reports.page import (
     Table,
     config_tables,
     indicator_table,
+    interval_timeline,
     law_table,
     render,
     table,
 )
-from eha_monitor.reports.timeline import interval_timeline
 from eha_monitor.settings.monitor import Settings
 from eha_monitor.settings.own_terms import is_own
 from eha_monitor.settings.rig import Tolerance, corrected
@@ -38,13 +38,9 @@ _MOST_CURVES = 6
 
 def diagnosis_page(found: Diagnosis, settings: Settings, losses: Sequence[str] = (),
                    command: str = "", indicators: Sequence[Indicator] = ()) -> str:
-    """Return the report of a diagnosis as HTML text.
+    """Return the report of a diagnosis, made with these settings, as HTML text.
 
-    Parameters
-    ----------
-    settings : the config it was made with.
-    losses : sentences about what was lost in reading the recordings.
-    command : the command that makes the same answer again.
+    ``losses`` are sentences on what was lost in reading; ``command`` makes the answer again.
     """
     found = figures.presentable(found)
     name = listed([Path(bag).name or bag for bag in found.bags]) or settings.rig.name
@@ -115,21 +111,15 @@ def _symbol(name: str) -> str:
 
 def _curve_note(found: Diagnosis, curve: diagnosis.Curve) -> str:
     dots, line = ("Grey", "Blue") if curve.against == "time" else ("Dots", "Line")
-    if found.changes:
-        note = (f"{dots}: measured term that the model of the healthy recordings lacks. {line}: "
-                "what has changed.")
-    elif found.effects:
-        note = (f"{dots}: measured term that the linear model lacks. {line}: the identified "
-                "effects.")
-    elif found.rig_data:
-        note = f"{dots}: measured term that the model of the config lacks."
-    elif found.verdict == "consistent":
-        note = "Residual of the model: noise about zero."
-    else:
-        fits = ("None of the machine's numbers explains it." if found.references else
-                "No effect of the catalogue fits.")
-        note = f"{dots}: measured term that the model lacks. {fits}"
-    return note
+    if not (found.changes or found.effects or found.rig_data) and found.verdict == "consistent":
+        return "Residual of the model: noise about zero."
+    model, rest = next((model, rest) for holds, model, rest in (
+        (found.changes, "the model of the healthy recordings", f" {line}: what has changed."),
+        (found.effects, "the linear model", f" {line}: the identified effects."),
+        (found.rig_data, "the model of the config", ""),
+        (found.references, "the model", " None of the machine's numbers explains it."),
+        (True, "the model", " No effect of the catalogue fits.")) if holds)
+    return f"{dots}: measured term that {model} lacks.{rest}"
 
 
 def _learned_note(term: diagnosis.LearnedTerm) -> str:
@@ -144,7 +134,6 @@ def _healthy(found: Diagnosis) -> int:
     """Return how many references an answer compares with, without those that were left out."""
     whole = found.references and found.machine is not None and not found.machine.pieces
     return len(found.machine.sources) if whole else len(found.references)
-
 
 
 def _facts(found: Diagnosis, settings: Settings) -> list[tuple[str, str]]:
@@ -262,17 +251,16 @@ def _effect(effect: diagnosis.NamedEffect, duration_s: float) -> dict[str, Any]:
 
 def _location(found: Diagnosis) -> dict[str, Any] | None:
     """Return the share of each balance, the regime and the intervals on the time axis, or None."""
-    shares = {name: share for name, share in found.location.balance.items()
-              if math.isfinite(share)}
-    if not any(share > 0 for share in shares.values()):
+    shares = sorted(((name, share) for name, share in found.location.balance.items()
+                     if math.isfinite(share)), key=lambda item: -item[1])
+    if not any(share > 0 for _, share in shares):
         return None
+    worst = words.worst_words(found)
     return {"bars": [(words.BALANCES.get(name, name), words.percent(share),
-                      round(100 * min(max(share, 0.0), 1.0), 2))
-                     for name, share in sorted(shares.items(), key=lambda item: -item[1])],
-            "regime": words.regime_words(found),
+                      round(100 * min(max(share, 0.0), 1.0), 2)) for name, share in shares],
+            "regime": words.regime_words(found), "intervals": worst,
             "timeline": interval_timeline("worst", found.location.intervals_s, found.duration_s)
-            if words.worst_words(found) else None,
-            "intervals": words.worst_words(found)}
+            if worst else None}
 
 
 def _fit(found: Diagnosis) -> Table:
@@ -287,9 +275,8 @@ def _fit(found: Diagnosis) -> Table:
 
 def _overlays(found: Diagnosis) -> list:
     names = ("healthy model", "model now") if found.references else ("model before", "model after")
-    made = [figures.overlay_figure(overlay, words.compared(found), names)
-            for overlay in found.overlays]
-    return [one for one in made if one is not None]
+    return [*filter(None, (figures.overlay_figure(overlay, words.compared(found), names)
+                           for overlay in found.overlays))]
 
 
 # ---- for the researcher ---------------------------------------------------------------------
@@ -335,13 +322,10 @@ def _first_view(baselines: Sequence[Baseline]) -> Table:
 
 def _considered(considered: tuple[diagnosis.Considered, ...]) -> list[tuple[str, Table]]:
     """Return what was tried: title and table, one for each set of effects named by then."""
-    groups: dict[tuple[str, ...], list[diagnosis.Considered]] = {}
-    for one in considered:
-        groups.setdefault(one.beside, []).append(one)
     found = []
-    for beside, members in sorted(groups.items(), key=lambda item: len(item[0])):
-        members = sorted(members, key=lambda one: -one.gain if math.isfinite(one.gain)
-                         else math.inf)
+    for beside in sorted(dict.fromkeys(one.beside for one in considered), key=len):
+        members = sorted((one for one in considered if one.beside == beside),
+                         key=lambda one: -one.gain if math.isfinite(one.gain) else math.inf)
         rows = [(effect_words(one.name),
                  words.BALANCES.get(CATALOGUE[one.name].balance, "")
                  if one.name in CATALOGUE else "", words.log_units(one.gain),
@@ -351,6 +335,12 @@ def _considered(considered: tuple[diagnosis.Considered, ...]) -> list[tuple[str,
         found.append((title, table("effect | balance | gain, log units | why it was rejected",
                                    rows, " |  | number | message", fold=True)))
     return found
+
+
+def _span_words(values: list[Value | None]) -> str:
+    known = [value for value in values if value and math.isfinite(value.value)]
+    return " to ".join(quantity(end(one.value for one in known), known[0].unit)
+                       for end in (min, max)) if known else "unknown"
 
 
 def _agreement(found: Diagnosis) -> Block | None:
@@ -363,15 +353,9 @@ def _agreement(found: Diagnosis) -> Block | None:
         if one is None:
             continue
         pictures.append(one)
-        spans = []
-        for values in ([part.before.get(name) for part in found.agreement],
-                       [part.after.get(name) for part in found.agreement]):
-            known = [value for value in values if value and math.isfinite(value.value)]
-            spans.append(f"{quantity(min(v.value for v in known), known[0].unit)} to "
-                         f"{quantity(max(v.value for v in known), known[0].unit)}"
-                         if known else "unknown")
-        notes.append(f"{SYMBOLS.get(name, name)} from the parts: {spans[0]} before, "
-                     f"{spans[1]} after.")
+        before, after = (_span_words([values.get(name) for values in parts]) for parts in (
+            [part.before for part in found.agreement], [part.after for part in found.agreement]))
+        notes.append(f"{SYMBOLS.get(name, name)} from the parts: {before} before, {after} after.")
     return Block("agreement", "", tuple(pictures), tuple(notes)) if pictures else None
 
 

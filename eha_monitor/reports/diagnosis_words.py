@@ -36,27 +36,16 @@ VERDICTS = {
     "consistent": ("ok", "Model and recording agree"),
     "mismatch": ("warn", "Mismatch identified"),
     "unexplained": ("error", "Unexplained mismatch"),
-    "insufficient_data": ("unknown", "Insufficient data"),
-}
-CHANGED = ("warn", "A parameter changed; no other mismatch")
-LEARNED = ("warn", "Effect not in the catalogue, learned from the recording")
+    "insufficient_data": ("unknown", "Insufficient data")}
 # Verdict against healthy recordings -> the same.
 AGAINST_HEALTHY = {
     "consistent": ("ok", "No change from the healthy recordings"),
     "mismatch": ("warn", "Change identified"),
-    "unexplained": ("error", "Changed, unexplained"),
-}
-CHANGED_LEARNED = ("warn", "Changed, and learned from the recording")
-DISTURBED = ("warn", "Disturbed for a while; in the rest model and recording agree")
-CHANGED_WITHIN = ("warn", "Changed while it was recorded")
-PARTLY = ("unknown", "No change in what can be compared")
-WRONG_NUMBERS = ("warn", "Wrong rig data explain the mismatch; no effect is missing")
-UNSURE = ("warn", "Mismatch; none of the names for it is more likely than not")
+    "unexplained": ("error", "Changed, unexplained")}
 REGIMES = {
     "velocity_reversal": "where the motion reverses", "high_speed": "at high speed",
     "high_pressure": "at a high pressure difference", "near_limit": "near a limit",
-    "always": "all the time",
-}
+    "always": "all the time"}
 BALANCES = {"force": "force balance", "flow": "flow balance", "drive": "drive",
             "sensor": "sensors"}
 DATA = {"held_out": "a held-out part of the recording",
@@ -67,28 +56,26 @@ _STATISTICS = "variance inflation"  # of every sentence on how well parameters a
 
 
 def head_of(found: Diagnosis) -> tuple[str, str]:
-    """Return the colour and the first words of a verdict."""
-    if found.references and found.verdict == "consistent" and found.change_points:
-        return CHANGED_WITHIN
-    if found.references and found.verdict == "consistent" and found.blind:
-        return PARTLY
-    if found.references and found.learned and found.verdict == "unexplained":
-        return CHANGED_LEARNED
-    if found.references and found.verdict in AGAINST_HEALTHY:
-        return AGAINST_HEALTHY[found.verdict]
-    if found.pieces or (found.change_points and found.verdict == "consistent"):
-        return CHANGED
-    if found.events and found.verdict == "consistent":
-        return DISTURBED
-    if found.learned:
-        return LEARNED
-    names = (*found.rig_data, *found.effects)
-    if found.verdict == "mismatch" and names and all(
-            one.probability < POLICY.likely for one in names):
-        return UNSURE
-    if found.verdict == "mismatch" and found.rig_data and not found.effects:
-        return WRONG_NUMBERS
-    return VERDICTS.get(found.verdict, ("unknown", found.verdict))
+    """Return the colour and the first words of a verdict: of the first case that it is."""
+    verdict, names = found.verdict, (*found.rig_data, *found.effects)
+    healthy, agrees, mismatch = found.references, verdict == "consistent", verdict == "mismatch"
+    cases = (
+        (healthy and agrees and found.change_points, "warn", "Changed while it was recorded"),
+        (healthy and agrees and found.blind, "unknown", "No change in what can be compared"),
+        (healthy and found.learned and verdict == "unexplained", "warn",
+         "Changed, and learned from the recording"),
+        (healthy and verdict in AGAINST_HEALTHY, *AGAINST_HEALTHY.get(verdict, ("", ""))),
+        (found.pieces or (found.change_points and agrees), "warn",
+         "A parameter changed; no other mismatch"),
+        (found.events and agrees, "warn",
+         "Disturbed for a while; in the rest model and recording agree"),
+        (found.learned, "warn", "Effect not in the catalogue, learned from the recording"),
+        (mismatch and names and all(one.probability < POLICY.likely for one in names), "warn",
+         "Mismatch; none of the names for it is more likely than not"),
+        (mismatch and found.rig_data and not found.effects, "warn",
+         "Wrong rig data explain the mismatch; no effect is missing"),
+        (True, *VERDICTS.get(verdict, ("unknown", verdict))))
+    return next((colour, words) for holds, colour, words in cases if holds)
 
 
 def compared(found: Diagnosis) -> bool:
@@ -176,7 +163,7 @@ LOOK_AT = {
 
 def _look_yourself(found: Diagnosis, bags: str) -> list[str]:
     """Return what to do where no effect of the catalogue explains what is missing."""
-    balance = max(found.location.balance, key=found.location.balance.get, default="")
+    balance = _worst_balance(found)
     steps = [f"look at {LOOK_AT[balance]}; the report's curve shows when or where it is off"
              ] if balance in LOOK_AT else []
     if not found.references:
@@ -189,9 +176,13 @@ def _look_yourself(found: Diagnosis, bags: str) -> list[str]:
     return steps
 
 
+def _worst_balance(found: Diagnosis) -> str:
+    return max(found.location.balance, key=found.location.balance.get, default="")
+
+
 def off_words(found: Diagnosis) -> tuple[str, ...]:
     """Return by how much the balance is off that nothing was named in; nothing if it was."""
-    balance = max(found.location.balance, key=found.location.balance.get, default="")
+    balance = _worst_balance(found)
     fit = found.signals.get(balance)
     if not nameless(found) or fit is None or not math.isfinite(fit.before_rms):
         return ()
@@ -318,8 +309,7 @@ def message_words(found: Diagnosis, probable: bool = False) -> str:
     before = {finding.statement for finding in found.rig_data}
     text = "; ".join(part for part in found.message.split("; ") if part not in before)
     for effect in found.effects if probable else ():
-        text = text.replace(effect.statement,
-                            effect.statement + in_brackets(effect.probability))
+        text = text.replace(effect.statement, effect.statement + in_brackets(effect.probability))
     return sentence(text)
 
 
@@ -358,8 +348,7 @@ def sentence(text: str) -> str:
 
     A symbol (βe), a channel (p1) or the name of a recording (healthy_3) keeps its own letters.
     """
-    text = text.strip()
-    if not text:
+    if not (text := text.strip()):
         return ""
     word = re.split(r"[\s:,]", text, maxsplit=1)[0]
     name = not text[0].isascii() or word in CHANNELS or re.search(r"[\d_/]|\.\w", word)
@@ -397,11 +386,9 @@ def interval_words(intervals_s: tuple[tuple[float, float], ...]) -> str:
              if abs(start) < LARGEST and abs(stop) < LARGEST]
     few = known[:_MOST_INTERVALS]
     digits = 1 if all(stop - start > 0.09 for start, stop in few) else 3
-    shown = [f"{start:.{digits}f}–{stop:.{digits}f}" for start, stop in few]
-    more = len(known) - len(shown)
-    if not shown:
-        return ""
-    return f"{', '.join(shown)} s" + (f" and {more} more" if more > 0 else "")
+    shown = ", ".join(f"{start:.{digits}f}–{stop:.{digits}f}" for start, stop in few)
+    more = len(known) - len(few)
+    return f"{shown} s{f' and {more} more' if more else ''}" if shown else ""
 
 
 def percent(share: float) -> str:
@@ -438,8 +425,7 @@ def pair_words(one: Value | None, other: Value | None) -> tuple[str, str]:
     if len(known) < 2 or known[0].unit != known[1].unit:
         return value_words(one), value_words(other)
     scale = readable(max(max(abs(value.value), value.stddev) for value in known), known[0].unit)
-    return tuple(with_uncertainty(value.value, value.stddev, value.unit, scale)
-                 for value in known)
+    return tuple(with_uncertainty(value.value, value.stddev, value.unit, scale) for value in known)
 
 
 def error_scale(fit: SignalFit) -> Scale:
@@ -464,14 +450,14 @@ def error_words(value: float, fit: SignalFit) -> str:
 
 def fit_rows(found: Diagnosis) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
     """Return the errors on unseen data: heads, and a row for each signal."""
-    rows = []
+    both, rows = compared(found), []
     for name, fit in found.signals.items():
         before, after, noise = (error_words(value, fit) for value in (
             fit.before_rms, fit.after_rms, fit.noise_rms))
         rows.append((name.replace("_", " "), before, *(
-            (after, noise, removed_words(fit)) if compared(found) else (noise,))))
-    return ("error on unseen data", *((*model_names(found), "noise", "removed")
-                                      if compared(found) else ("model", "noise"))), rows
+            (after, noise, removed_words(fit)) if both else (noise,))))
+    return ("error on unseen data", *((*model_names(found), "noise", "removed") if both else
+                                      ("model", "noise"))), rows
 
 
 def removed_words(fit: SignalFit) -> str:

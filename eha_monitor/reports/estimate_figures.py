@@ -1,7 +1,7 @@
 """The figures of an estimate: B and beta_e as they converge, the motion, the innovations."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -22,11 +22,8 @@ def presentable(estimate: Estimate) -> Estimate:
     """Return the estimate with NaN for infinities and for sizes that no picture can show."""
     recording = replace(estimate.recording, channels={
         name: traces.tamed(values) for name, values in estimate.recording.channels.items()})
-    one, two = (replace(stage, **{
-        f.name: traces.tamed(getattr(stage, f.name)) for f in fields(stage)
-        if isinstance(getattr(stage, f.name), np.ndarray)})
-        for stage in (estimate.stage_one, estimate.stage_two))
-    return replace(estimate, recording=recording, stage_one=one, stage_two=two)
+    return replace(estimate, recording=recording, stage_one=traces.with_tamed(estimate.stage_one),
+                   stage_two=traces.with_tamed(estimate.stage_two))
 
 
 # ---- B and beta_e ---------------------------------------------------------------------------
@@ -54,10 +51,9 @@ class _Watched:
 
 def _watched(estimate: Estimate, name: str) -> _Watched:
     thresholds = estimate.settings.thresholds
-    if name == "B":
-        stage, limits, colour = estimate.stage_one, thresholds.viscous_damping, fig.STAGE_ONE
-    else:
-        stage, limits, colour = estimate.stage_two, thresholds.bulk_modulus, fig.STAGE_TWO
+    stage, limits, colour = (
+        (estimate.stage_one, thresholds.viscous_damping, fig.STAGE_ONE) if name == "B" else
+        (estimate.stage_two, thresholds.bulk_modulus, fig.STAGE_TWO))
     found = [(one.time_s, known.value, known.stddev) for one in estimate.beside
              if name in estimate.model.tainted and (known := one.determined(name))]
     return _Watched(name, stage, limits_of(limits), colour, np.array(found).reshape(-1, 3))
@@ -71,12 +67,9 @@ def parameter_block(estimate: Estimate, name: str) -> fig.Block:
     if not np.isfinite(value).any():
         reason = stage.estimate.message or "the stage had no data"
         return fig.Block(key, title, notes=(f"No curve: {reason}",))
-    notes = []
     low, high = core_range(stage, 0.4)
-    far = [f"{words} {quantity(limit, stage.estimate.unit)}" for limit, words in one.limits
-           if not is_near(limit, low, high)]
-    if far:
-        notes.append(f"Outside the plot: {', '.join(far)}.")
+    notes = far_limits([line for line in one.limits if not is_near(line[0], low, high)],
+                       stage.estimate.unit)
     view = one.view()
     margin = 0.08 * (view[1] - view[0])
     known = value[np.isfinite(value)]
@@ -129,6 +122,12 @@ def core_range(stage: StageResult, from_share: float) -> tuple[float, float]:
             float(max(high, np.median(late + 1.5 * wide))))
 
 
+def far_limits(lines: list[tuple[float, str]], unit: str) -> list[str]:
+    """Return the note on limits, SI, with their words, that a picture leaves out; none of none."""
+    far = ", ".join(f"{words} {quantity(limit, unit)}" for limit, words in lines)
+    return [f"Outside the plot: {far}."] if far else []
+
+
 def is_near(limit: float, low: float, high: float) -> bool:
     """Whether a limit can share the picture without squeezing the curve flat."""
     size = max(abs(low), abs(high), 3 * (high - low))
@@ -139,8 +138,7 @@ def _settled(stage: StageResult) -> int:
     """Return the sample from which the curve is worth enlarging."""
     finite = np.flatnonzero(np.isfinite(stage.value))
     last = finite[len(finite) // 2:]
-    centre, width = np.median(stage.value[last]), np.ptp(np.percentile(
-        stage.value[last], (1, 99)))
+    centre, width = np.median(stage.value[last]), np.ptp(np.percentile(stage.value[last], (1, 99)))
     width = max(4 * width, 8 * float(np.nanmedian(stage.stddev[last])), 1e-9 * abs(centre))
     outside = finite[np.abs(stage.value[finite] - centre) > width]
     first = outside[-1] + 1 if len(outside) else finite[0]
@@ -151,8 +149,8 @@ def _parameters(shown: list[_Watched], part: slice, views: list[tuple[float, flo
                 ) -> fig.Figure:
     """Draw parameters one above the other over a part of the record; ``views`` SI."""
     time = _time_side(shown[0].stage.time, part, words)
-    panels = tuple(_parameter_panel(one, part, view, time if one is shown[-1] else replace(
-        time, name="", note="")) for one, view in zip(shown, views, strict=True))
+    panels = tuple(_parameter_panel(one, part, view, time)
+                   for one, view in zip(shown, views, strict=True))
     last = [f"{PARAMETER_WORDS[one.name]}, last value " + quantity(
         one.stage.value[np.isfinite(one.stage.value)][-1], one.stage.estimate.unit)
         for one in shown]
@@ -235,13 +233,7 @@ LABEL = (0.55, 0.09)  # of width and height of a picture on a phone, that a limi
 
 
 def _hidden(over: np.ndarray, along: np.ndarray, height: float, above: bool, left: bool) -> float:
-    """Return the share of a curve that a limit's name would hide, in steps that matter.
-
-    Parameters
-    ----------
-    over : (n,) the curve over the limit; ``height`` that of the picture, both SI.
-    along : (n,) where, as a share of the width.
-    """
+    """Return the share of a curve, (n,) ``over`` the limit, that its name would hide."""
     up = (over if above else -over) / height
     with np.errstate(invalid="ignore"):
         there = (up > -0.01) & (up < LABEL[1]) & (
@@ -257,8 +249,8 @@ def limits_of(limits: Limits) -> list[tuple[float, str]]:
 
 def limits_in_words(limits: Limits, unit: str) -> str:
     """Return the limits of a parameter as one phrase."""
-    words = [f"{words} {quantity(limit, unit)}" for limit, words in limits_of(limits)]
-    return ", ".join(words) or "no limits configured"
+    return ", ".join(f"{words} {quantity(limit, unit)}" for limit, words in limits_of(limits)
+                     ) or "no limits configured"
 
 
 # ---- the motion -----------------------------------------------------------------------------
@@ -296,10 +288,10 @@ class _Motion:
     estimate: Estimate
     window: _Window
 
-    def unit(self, order: int) -> str:
-        """Return the unit of a derivative of the position: m or rad, per s^order."""
-        base = "rad" if self.estimate.settings.rig.motion == "rotary" else "m"
-        return base + ("", "/s", "/s²")[order]
+    @property
+    def unit(self) -> str:
+        """Unit of the position."""
+        return "rad" if self.estimate.settings.rig.motion == "rotary" else "m"
 
     def estimated(self, attribute: str) -> list[_Signal]:
         """Return the states of both stages that have data; nothing where the data have a gap.
@@ -353,8 +345,8 @@ class _Motion:
             top.add(fig.cut_note(quantity(peak, unit, 2)))
         panels = [top]
         if residuals:
-            panels = [replace(top, x=replace(time, name="", note="")), _residuals(
-                time, t, [(one, one.values[here]) for one in residuals], (unit, high - low))]
+            panels.append(_residuals(time, t, [(one, one.values[here]) for one in residuals],
+                                     (unit, high - low)))
         return fig.Figure(tuple(panels), f"{name} against time, {part.words}: "
                           + ", ".join(one.label for one in signals),
                           (2.0, 1.0)[:len(panels)],
@@ -430,8 +422,7 @@ def _pressure_block(motion: _Motion) -> fig.Block:
 
 def _position_block(motion: _Motion) -> fig.Block:
     """Return position measured and estimated."""
-    unit = motion.unit(0)
-    word = "angle" if unit == "rad" else "position"
+    word = "angle" if motion.unit == "rad" else "position"
     measured = _Signal("measured", motion.estimate.recording.get("x"), fig.MEASURED, 4.0)
     estimated = motion.estimated("position")
     if not measured.drawable and not estimated:
@@ -440,21 +431,21 @@ def _position_block(motion: _Motion) -> fig.Block:
     residuals = [replace(one, values=measured.values - one.values) for one in estimated]
     notes = () if estimated else ("No stage had data, so there is no estimate to compare.",)
     return fig.Block("position", word.capitalize(), motion.pictures(
-        [measured, *estimated], residuals, word, unit), notes)
+        [measured, *estimated], residuals, word, motion.unit), notes)
 
 
 def _derivative_block(motion: _Motion, order: int) -> fig.Block:
     """Return velocity (order 1) or acceleration (order 2), measured and estimated."""
-    name = ("velocity", "acceleration")[order - 1]
+    name, which, per = (("velocity", "derivative", "/s"),
+                        ("acceleration", "second derivative", "/s²"))[order - 1]
     recording, estimated = motion.estimate.recording, motion.estimated(name)
     smoother = None
     if order == 1 and recording.has("v"):
         measured = _Signal("measured", recording.get("v"), fig.MEASURED, 4.0)
     else:
         smoother = traces.choose_smoother(recording.get("x"), recording.sample_time, order)
-        which = ("derivative", "second derivative")[order - 1]
         values = smoother.of(recording.get("x")) if smoother else recording.get("none")
-        length = quantity(smoother.length, "s", 2) if smoother else ""
+        length = quantity(smoother.window * smoother.dt, "s", 2) if smoother else ""
         measured = _Signal(f"{which} of measured position, over {length}", values,
                            fig.MEASURED, 4.0)
     if not measured.drawable and not estimated:
@@ -472,7 +463,7 @@ def _derivative_block(motion: _Motion, order: int) -> fig.Block:
         smoother.alike(one.values, recording.get("x")) if smoother else one.values))
         for one in estimated]
     return fig.Block(name, name.capitalize(), motion.pictures(
-        [measured, *estimated], residuals, name, motion.unit(order)), notes)
+        [measured, *estimated], residuals, name, motion.unit + per), notes)
 
 
 # ---- the innovations ------------------------------------------------------------------------
@@ -482,16 +473,13 @@ def innovation_block(estimate: Estimate, stage: StageResult) -> fig.Block:
     key, title = f"innovations-{stage.stage}", f"Innovations of stage {stage.stage}"
     z = whitened(stage.innovation, stage.innovation_stddev)
     z = np.where(np.isfinite(z), z, np.nan)
-    count = int(np.isfinite(z).sum())
-    if not count:
+    if not (count := int(np.isfinite(z).sum())):
         return fig.Block(key, title, notes=(
             f"Stage {stage.stage} had no data, so there are no innovations to judge.",))
     colour = fig.STAGE_ONE if stage.stage == "one" else fig.STAGE_TWO
-    pictures = [_innovations(stage, z, colour)]
     memory = _memory(stage, z, colour, estimate.recording.sample_time) if count >= 50 else None
-    if memory:
-        pictures.append(memory)
-    return fig.Block(key, title, tuple(pictures), _innovation_words(stage, count))
+    return fig.Block(key, title, (_innovations(stage, z, colour), *([memory] if memory else [])),
+                     _innovation_words(stage, count))
 
 
 def _innovation_words(stage: StageResult, count: int) -> tuple[str, ...]:
@@ -521,8 +509,7 @@ def _innovations(stage: StageResult, z: np.ndarray, colour: str) -> fig.Figure:
     t, time = stage.time, _time_side(stage.time, _WHOLE, "whole record")
     half, peak = traces.robust_peak(z)
     half = max(4.5, 1.05 * half)
-    top = fig.Panel(replace(time, name="", note=""), fig.Side("innovation / its σ",
-                                                              limits=(-half, half)))
+    top = fig.Panel(time, fig.Side("innovation / its σ", limits=(-half, half)))
     top.signal(t, z, "innovation / its σ", colour, width=0.8, legend=False)
     top.add(fig.Level(-2.0, dash="dash"),
             fig.Level(2.0, "±2: 95 % should lie within", dash="dash"))

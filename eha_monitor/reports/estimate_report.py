@@ -20,13 +20,14 @@ from eha_monitor.reports.page import (
     Cell,
     FirstScreen,
     Table,
+    alarm_timeline,
+    alarm_words,
     config_tables,
     indicator_table,
     law_table,
     render,
     table,
 )
-from eha_monitor.reports.timeline import alarm_timeline, alarm_words
 from eha_monitor.settings.channels import CHANNEL_UNITS
 from eha_monitor.words import PARAMETER_WORDS, listed
 
@@ -57,11 +58,6 @@ class Verdict:
     headline: str
     text: str
 
-    @property
-    def sentence(self) -> str:
-        """Headline and text."""
-        return f"{self.headline}: {self.text}"
-
 
 def verdict(estimate: Estimate, alarms: tuple[Alarm, ...]) -> Verdict:
     """Return what the recording says about the actuator, and what it does not say."""
@@ -69,11 +65,9 @@ def verdict(estimate: Estimate, alarms: tuple[Alarm, ...]) -> Verdict:
     known = [p for p in estimate.parameters.values() if p.status == "converged"]
     unknown = [p for p in estimate.parameters.values() if p.status != "converged"]
     mismatch = estimate.model.status == "mismatch"
-    parts = []
-    if raised:
-        parts.append(" and ".join(
-            f"{_ALARMS[a.name][0] if a.name in _ALARMS else a.name.replace('_', ' ')} ({a.level})"
-            for a in raised))
+    parts = [" and ".join(
+        f"{_ALARMS[a.name][0] if a.name in _ALARMS else a.name.replace('_', ' ')} ({a.level})"
+        for a in raised)] if raised else []
     if mismatch:
         biased = [SYMBOLS[p.name] for p in known if p.name in estimate.doubted]
         beside = [SYMBOLS[p.name] for p in known if p.name in estimate.model.tainted
@@ -107,20 +101,16 @@ def _raised(alarms: tuple[Alarm, ...]) -> list[Alarm]:
 def _head(raised: list[Alarm], model: str, known: bool, open_questions: bool) -> tuple[str, str]:
     """Return colour and first words: the gravest thing leads."""
     if raised:
-        grave = raised[0].word == "ERROR"
-        words = "Alarm" if grave else "Warning"
-        found = ("error" if grave else "warn",
-                 words + (" and mismatch" if model == "mismatch" else ""))
-    elif model == "mismatch":
-        found = "warn", "Mismatch"
-    elif not known:
-        found = "unknown", "No answer"
-    elif open_questions or model != "consistent":
-        found = ("ok" if model == "consistent" else "unknown",
-                 "No fault found in what could be judged")
-    else:
-        found = "ok", "Healthy"
-    return found
+        kind, words = ("error", "Alarm") if raised[0].word == "ERROR" else ("warn", "Warning")
+        return kind, words + (" and mismatch" if model == "mismatch" else "")
+    if model == "mismatch":
+        return "warn", "Mismatch"
+    if not known:
+        return "unknown", "No answer"
+    if open_questions or model != "consistent":
+        return ("ok" if model == "consistent" else "unknown",
+                "No fault found in what could be judged")
+    return "ok", "Healthy"
 
 
 def _values(known: list[ParameterEstimate], alarms: tuple[Alarm, ...]) -> str:
@@ -145,13 +135,11 @@ def _values(known: list[ParameterEstimate], alarms: tuple[Alarm, ...]) -> str:
 
 def effect_of_mismatch(estimate: Estimate) -> tuple[str, ...]:
     """Return what a model that does not fit does to B and beta_e, a sentence each."""
-    found = []
-    for name, taint in estimate.model.tainted.items():
-        symbol, other = SYMBOLS[name], taint.instead
-        found.append(f"{symbol} of the filter cannot be used" if other is None else
-                     f"{symbol} of the filter is not used: {other.shown} by least squares on the "
-                     f"{BALANCES[name]} balance, which the alarms judge")
-    return tuple(map(sentence, found))
+    return tuple(sentence(
+        f"{SYMBOLS[name]} of the filter cannot be used" if taint.instead is None else
+        f"{SYMBOLS[name]} of the filter is not used: {taint.instead.shown} by least squares on "
+        f"the {BALANCES[name]} balance, which the alarms judge")
+        for name, taint in estimate.model.tainted.items())
 
 
 def next_steps(estimate: Estimate, alarms: tuple[Alarm, ...]) -> tuple[str, ...]:
@@ -190,10 +178,7 @@ def estimate_page(estimate: Estimate, alarms: tuple[Alarm, ...], history: tuple[
                   indicators: tuple[Indicator, ...] = ()) -> str:
     """Return the report of one recording as HTML text.
 
-    Parameters
-    ----------
-    alarms, history : alarms at the end of the recording, and every change of a level in order.
-    observability : standard deviations that each combination of channels would reach, or None.
+    ``alarms`` are those at its end, ``history`` every change of a level in order.
     """
     estimate = figures.presentable(estimate)
     recording, settings = estimate.recording, estimate.settings
@@ -245,8 +230,7 @@ def _first_screen(estimate: Estimate, alarms: tuple[Alarm, ...]) -> FirstScreen:
 
 def _value_cell(p: ParameterEstimate, tainted: bool = False, beside: bool = False) -> Cell:
     """Return value and status, exact in SI; what must not be used is not set in bold."""
-    known = math.isfinite(p.value)
-    sure = p.status == "converged"
+    known, sure = math.isfinite(p.value), p.status == "converged"
     badge, level = ("in doubt", "WARN") if sure and tainted else (
         "least squares" if sure and beside else STATUS_WORDS.get(p.status, p.status), p.status)
     return Cell(p.shown if known else "—", "value" if sure and not tainted else "value doubt",
@@ -316,13 +300,7 @@ def _correlation_table(joint: JointResult) -> Table:
 
 
 def _observability_table(found: "ObservabilityTable | None", recording: Recording) -> Table | None:
-    """Return what combinations of channels determine, or None.
-
-    Parameters
-    ----------
-    found : has ``rows``, each with ``channels`` and ``relative_stddev`` (name -> ratio).
-    recording : its channels mark the rows that this recording can answer.
-    """
+    """Return what combinations of channels determine, those of the recording marked; or None."""
     if found is None or not found.rows:
         return None
     names = list(dict.fromkeys(name for row in found.rows for name in row.relative_stddev))
@@ -348,12 +326,9 @@ def _relative(ratio: float | None) -> Cell:
 
 def _noise_table(estimate: Estimate) -> Table:
     """Return the noise level of each channel and where it comes from."""
-    rotary = estimate.settings.rig.motion == "rotary"
-    rows = []
-    for name, noise in estimate.noise.items():
-        unit = CHANNEL_UNITS.get(name, "")
-        rows.append((_CHANNEL_WORDS.get(name, name), quantity(
-            noise.value, ROTARY.get(unit, unit) if rotary else unit, 3),
-            "measured from this recording" if noise.measured else "taken from the config"))
-    return table("channel | standard deviation of a sample | source", rows, " | number | ",
-                 "noise")
+    units = CHANNEL_UNITS if estimate.settings.rig.motion != "rotary" else {
+        name: ROTARY.get(unit, unit) for name, unit in CHANNEL_UNITS.items()}
+    return table("channel | standard deviation of a sample | source", [
+        (_CHANNEL_WORDS.get(name, name), quantity(noise.value, units.get(name, ""), 3),
+         "measured from this recording" if noise.measured else "taken from the config")
+        for name, noise in estimate.noise.items()], " | number | ", "noise")

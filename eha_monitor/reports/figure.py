@@ -73,13 +73,11 @@ class Band:
 
 @dataclass(frozen=True)
 class Bars:
-    """Upright bars of one width, (n,), with a number above each."""
+    """Upright grey bars of one width, (n,), with a number above each."""
 
     x: np.ndarray
     height: np.ndarray
     width: float
-    label: str = ""
-    colour: str = MEASURED
 
 
 @dataclass(frozen=True)
@@ -245,6 +243,12 @@ class Figure:
     on_time: bool = False
     stretch: str = ""
 
+    def __post_init__(self):
+        if self.shared:  # the axis is named below the last
+            object.__setattr__(self, "panels", tuple(
+                replace(panel, x=replace(panel.x, name="", note="")) for panel in self.panels[:-1]
+                ) + self.panels[-1:])
+
 
 # What of each kind lies along x, and along y.
 _ALONG = {Curve: (("x", "x_error"), ("y", "y_error")), Band: (("x",), ("low", "high")),
@@ -260,8 +264,7 @@ def in_units(panel: Panel, dates: float = 1.0) -> Panel:
         return replace(one, scale=Scale(1.0, one.scale.unit), limits=one.limits and (
             one.limits[0] * factor, one.limits[1] * factor))
 
-    return Panel(side(panel.x, x), side(panel.y, y),
-                 [_scaled(one, x, y) for one in panel.shown])
+    return Panel(side(panel.x, x), side(panel.y, y), [_scaled(one, x, y) for one in panel.shown])
 
 
 def _scaled(one: Any, x: float, y: float) -> Any:

@@ -56,8 +56,7 @@ def chart(figure: fig.Figure) -> dict[str, Any]:
         _Drawing(fig.in_units(panel, 1e3), f"x{own}", f"y{number}", layout, data).draw(
             own, number, domain, (domain[1] - domain[0]) * figure.size[1])
     clock = figure.panels[-1].x.scale.factor if figure.on_time else None
-    return {"data": data, "layout": layout, "clock": clock,
-            "rows": bool(figure.panels[0].y.rows)}
+    return {"data": data, "layout": layout, "clock": clock, "rows": bool(figure.panels[0].y.rows)}
 
 
 def _domains(figure: fig.Figure) -> list[tuple[float, float]]:
@@ -151,8 +150,8 @@ class _Drawing:
                     line={"width": 0, "color": colour}, hoverinfo="skip", hovertemplate=None)
 
     def _bars(self, one: fig.Bars) -> None:
-        self._trace(one.x, one.height, one.label or self.panel.y.name, one.colour, bool(one.label),
-                    type="bar", width=one.width, marker={"color": one.colour})
+        self._trace(one.x, one.height, self.panel.y.name, fig.MEASURED, False, type="bar",
+                    width=one.width, marker={"color": fig.MEASURED})
         for x, height in zip(one.x, one.height, strict=True):
             self._text(fig.Text(float(x), float(height), f"{height:g}", up="bottom", shift=(0, 2)))
 

@@ -19,8 +19,7 @@ _RELIABILITY = 470  # pixels of the height of the reliability diagram
 
 def reliability_figure(found: dict) -> fig.Figure | None:
     """Draw the share that was correct against the stated probability, counts below it."""
-    bins = found.get("reliability") or []
-    if not bins:
+    if not (bins := found.get("reliability")):
         return None
     said, right, count = (np.array([one[key] for one in bins]) for key in ("said", "right", "n"))
     low, high = wilson(right, count)
@@ -91,15 +90,13 @@ def percent(value: float | None) -> str:
 
 def _facts(found: dict) -> list[tuple[str, str]]:
     """Return the facts at the head of the page."""
-    facts = [("Recordings", str(found["cases"])), ("Seed", str(found["seed"])),
-             ("Commit", found["commit"] or "not a checkout"),
-             ("SHA-256 of the sealed key", found["sealed_key_sha256"])]
-    facts.append(("Source of the answers", ", ".join(
-        f"{name or 'none'} ({count})" for name, count in found["sources"].items())))
-    facts.append(("Oracle", "evaluated" if found["oracle"] else "not evaluated"))
-    if found["failed"]:
-        facts.append(("Diagnoses that failed", str(found["failed"])))
-    return facts
+    return [("Recordings", str(found["cases"])), ("Seed", str(found["seed"])),
+            ("Commit", found["commit"] or "not a checkout"),
+            ("SHA-256 of the sealed key", found["sealed_key_sha256"]),
+            ("Source of the answers", ", ".join(
+                f"{name or 'none'} ({count})" for name, count in found["sources"].items())),
+            ("Oracle", "evaluated" if found["oracle"] else "not evaluated"),
+            *([("Diagnoses that failed", str(found["failed"]))] if found["failed"] else [])]
 
 
 def verdict(found: dict) -> tuple[str, str]:
@@ -127,8 +124,7 @@ def marks(found: dict) -> Table:
     for name, (words, aim, _, _) in MARKS.items():
         value = found["score"].get(name)
         kind = kinds[_reached(found, name)]
-        rows.append((value is None,
-                     (words, Cell(percent(value), f"value{kind}", mark=name), aim)))
+        rows.append((value is None, (words, Cell(percent(value), f"value{kind}", mark=name), aim)))
     shown = [row for absent, row in rows if not absent]
     absent = [row[0] for lacking, row in rows if lacking]
     return table("mark | reached | aim", shown, " | value | number", "marks",
@@ -145,11 +141,10 @@ def groups(found: dict) -> list[Table]:
 
 def effects(found: dict) -> Table:
     """Return the shares by effect."""
-    rows = [(name, one["n"], percent(one["exact"]), percent(one["within_class"]),
-             one["detectable"], percent(one["found"]))
-            for name, one in found["by_effect"].items()]
-    return table("effect | cases | exact | within class | detectable | found of these", rows,
-                 f"key{_NUMBERS}", "effects")
+    return table("effect | cases | exact | within class | detectable | found of these", [
+        (name, one["n"], percent(one["exact"]), percent(one["within_class"]), one["detectable"],
+         percent(one["found"])) for name, one in found["by_effect"].items()],
+        f"key{_NUMBERS}", "effects")
 
 
 def confusion(found: dict) -> Table:
@@ -187,11 +182,14 @@ def _miss_cards(found: dict, work: Path | None) -> list[dict]:
 
 def truth_words(row: dict, name: str) -> str:
     """Return a concealed effect in words: name, strength, evidence."""
-    words = f"{effect_words(name)} at strength {abs(row['strength'][name]):.3g}"
-    gain = row["log_evidence"].get(name)
-    if gain is not None:
-        words += f", {number(gain, 3)} log units for an oracle"
-    return words + (": found" if name in row["pairs"] else "")
+    return (f"{effect_words(name)} at strength {abs(row['strength'][name]):.3g}"
+            + _found_words(row, name, row["log_evidence"]))
+
+
+def _found_words(row: dict, name: str, evidence: dict) -> str:
+    gain = evidence.get(name)
+    return ("" if gain is None else f", {number(gain, 3)} log units for an oracle") + (
+        ": found" if name in row["pairs"] else "")
 
 
 def truths_of(row: dict) -> list[str]:
@@ -203,19 +201,14 @@ def truths_of(row: dict) -> list[str]:
 
 def number_words(row: dict, one: dict) -> str:
     """Return a rig number that the config has wrong in words, SI."""
-    words = (f"{one['key']}: the config says {number(one['configured'], 4)}, "
-             f"{number(one['true'], 4)} is true, {abs(one['tolerances']):.2g} tolerances")
-    name = number_of(one["key"])
-    gain = row["rig_evidence"].get(name)
-    if gain is not None:
-        words += f", {number(gain, 3)} log units for an oracle"
-    return words + (": found" if name in row["pairs"] else "")
+    return (f"{one['key']}: the config says {number(one['configured'], 4)}, "
+            f"{number(one['true'], 4)} is true, {abs(one['tolerances']):.2g} tolerances"
+            + _found_words(row, number_of(one["key"]), row["rig_evidence"]))
 
 
 def said_words(row: dict) -> str:
     """Return what was said, with the declared classes; rig numbers by their names."""
-    classes = {**row["classes"], **row.get("rig_classes", {})}
-    if not classes:
+    if not (classes := {**row["classes"], **row.get("rig_classes", {})}):
         return row["verdict"].replace("_", " ")
     named = "; ".join(effect_words(name) + (
         f" (or {', '.join(map(effect_words, rivals))})" if rivals else "")

@@ -36,8 +36,7 @@ _STYLE = {
     "axes.spines.right": False,
     "axes.labelsize": 10, "xtick.labelsize": 9.5, "ytick.labelsize": 9.5,
     "figure.facecolor": "white", "savefig.facecolor": "white", "path.simplify": True,
-    "axes.unicode_minus": True,
-}
+    "axes.unicode_minus": True}
 
 
 class Drawing(matplotlib.figure.Figure):
@@ -112,27 +111,21 @@ def _band(axis: Axes, one: fig.Band) -> None:
 
 
 def _bars(axis: Axes, one: fig.Bars) -> None:
-    axis.bar(one.x, one.height, width=one.width, color=one.colour, label=one.label or None)
+    axis.bar(one.x, one.height, width=one.width, color=fig.MEASURED)
     for x, height in zip(one.x, one.height, strict=True):
         _text(axis, fig.Text(float(x), float(height), f"{height:g}", up="bottom", shift=(0, 2)))
 
 
 def _level(axis: Axes, one: fig.Level) -> None:
-    look = {"color": one.colour, "linewidth": one.width, "linestyle": _DASHES[one.dash],
-            "label": one.label or None}
-    if one.upright:
-        axis.axvline(one.at, **look)
-    else:
-        axis.axhline(one.at, **look)
+    draw = axis.axvline if one.upright else axis.axhline
+    draw(one.at, color=one.colour, linewidth=one.width, linestyle=_DASHES[one.dash],
+         label=one.label or None)
 
 
 def _span(axis: Axes, one: fig.Span) -> None:
-    look = {"color": one.colour, "alpha": one.opacity, "linewidth": 0, "zorder": 0,
-            "label": one.label or None}
-    if one.upright:
-        axis.axvspan(one.low, one.high, **look)
-    else:
-        axis.axhspan(one.low, one.high, **look)
+    draw = axis.axvspan if one.upright else axis.axhspan
+    draw(one.low, one.high, color=one.colour, alpha=one.opacity, linewidth=0, zorder=0,
+         label=one.label or None)
 
 
 def _text(axis: Axes, one: fig.Text) -> None:
@@ -152,7 +145,6 @@ _SHOW = {fig.Curve: _curve, fig.Band: _band, fig.Bars: _bars, fig.Level: _level,
 def _scale(axis: Axes, panel: fig.Panel, which: str) -> None:
     """Set scale, limits, ticks and words of the axis ``x`` or ``y``."""
     about, side = getattr(panel, which), getattr(axis, f"{which}axis")
-    low, high = panel.ends(which)
     if about.log:
         getattr(axis, f"set_{which}scale")("log")
     if about.dates:
@@ -170,7 +162,7 @@ def _scale(axis: Axes, panel: fig.Panel, which: str) -> None:
         plain.set_powerlimits((-9, 9))
         side.set_major_formatter(plain)
         side.set_major_locator(MaxNLocator(8 if which == "x" else 6, steps=_STEPS))
-    getattr(axis, f"set_{which}lim")(low, high)
+    getattr(axis, f"set_{which}lim")(*panel.ends(which))
     side.set_label_text(about.words)
 
 
@@ -218,8 +210,7 @@ def _arrange(made: Drawing, figure: fig.Figure) -> None:
     top = float(height)
     for axis, over, size, under in zip(made.axes, above, heights, below, strict=True):
         top -= over + size
-        axis.set_position((left / width, top / height, (width - left - 14) / width,
-                           size / height))
+        axis.set_position((left / width, top / height, (width - left - 14) / width, size / height))
         _thin_ticks(axis, width - left - 14)
         middle = 4 + 8.5 * (axis.get_ylabel().count("\n") + 1)
         axis.yaxis.set_label_coords(-(left - middle) / (width - left - 14), 0.5)

@@ -1,10 +1,12 @@
 """Curves made fit for a picture: envelopes, derivatives, windows, limits, correlations."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
+from typing import TypeVar
 
 import numpy as np
 
 LARGEST = 1e60  # SI; beyond it squares and the sums of a drawing library overflow
+Record = TypeVar("Record")
 
 
 def tamed(values: np.ndarray) -> np.ndarray:
@@ -14,6 +16,12 @@ def tamed(values: np.ndarray) -> np.ndarray:
     return np.where(wild, np.nan, values) if wild.any() else values
 
 
+def with_tamed(record: Record) -> Record:
+    """Return a record whose arrays are :func:`tamed`."""
+    return replace(record, **{one.name: tamed(values) for one in fields(record)
+                              if isinstance(values := getattr(record, one.name), np.ndarray)})
+
+
 def envelope(time: np.ndarray, values: np.ndarray, bins: int = 1500
              ) -> tuple[np.ndarray, np.ndarray]:
     """Return at most four samples per bin that draw the same line: peaks and gaps survive.
@@ -21,27 +29,18 @@ def envelope(time: np.ndarray, values: np.ndarray, bins: int = 1500
     Each bin keeps its first, lowest, highest and last sample where they are, which is what a line
     drawn through all of them would show at that width.  A gap longer than three times the usual
     spacing of the finite samples becomes a NaN; shorter ones are joined, so that a channel
-    slower than the grid is still a line.
-
-    Parameters
-    ----------
-    time : (n,) rising.
-    values : (n,) NaN or infinite where there is nothing.
-    bins : columns of the picture.
+    slower than the grid is still a line.  ``time`` is (n,) rising; ``values`` (n,) are NaN or
+    infinite where there is nothing.
     """
     index = np.flatnonzero(np.isfinite(values))
     if not index.size:
         return np.empty(0), np.empty(0)
-    gap_after = _gap_after(index)
+    gap_after, starts, ends = _in_bins(index, len(values), bins)
     t, v = time[index], values[index]
-    if len(index) <= 4 * bins:
-        breaks = np.flatnonzero(gap_after) + 1
-        return np.insert(t, breaks, t[breaks - 1]), np.insert(v, breaks, np.nan)
-    column = (index * bins) // len(values)
-    starts = np.flatnonzero(np.r_[True, (np.diff(column) > 0) | gap_after])
-    ends = np.r_[starts[1:], len(index)] - 1
-    kept = np.unique(np.concatenate([starts, ends, _first_of(v, starts, np.minimum),
-                                     _first_of(v, starts, np.maximum)]))
+    kept = slice(None)
+    if len(index) > 4 * bins:
+        kept = np.unique(np.concatenate([starts, ends, _first_of(v, starts, np.minimum),
+                                         _first_of(v, starts, np.maximum)]))
     breaks = np.flatnonzero(np.r_[gap_after, False][kept]) + 1
     t, v = t[kept], v[kept]
     return np.insert(t, breaks, t[breaks - 1]), np.insert(v, breaks, np.nan)
@@ -51,19 +50,12 @@ def band_envelope(time: np.ndarray, lower: np.ndarray, upper: np.ndarray, bins: 
                   ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return two points per bin between which a band is as wide as it is anywhere in the bin.
 
-    Parameters
-    ----------
-    time : (n,) rising.
-    lower, upper : (n,) NaN where there is no band; a gap in it stays one, as in :func:`envelope`.
-    bins : columns of the picture.
+    ``lower`` and ``upper`` (n,) are NaN where there is no band; gaps are as in :func:`envelope`.
     """
     index = np.flatnonzero(np.isfinite(lower) & np.isfinite(upper))
     if not index.size:
         return np.empty(0), np.empty(0), np.empty(0)
-    gap_after = _gap_after(index)
-    column = (index * bins) // len(lower)
-    starts = np.flatnonzero(np.r_[True, (np.diff(column) > 0) | gap_after])
-    ends = np.r_[starts[1:], len(index)] - 1
+    gap_after, starts, ends = _in_bins(index, len(lower), bins)
     t = np.column_stack([time[index[starts]], time[index[ends]]]).ravel()
     low = np.repeat(np.minimum.reduceat(lower[index], starts), 2)
     high = np.repeat(np.maximum.reduceat(upper[index], starts), 2)
@@ -72,10 +64,13 @@ def band_envelope(time: np.ndarray, lower: np.ndarray, upper: np.ndarray, bins: 
         (t, t[breaks - 1]), (low, np.nan), (high, np.nan)))
 
 
-def _gap_after(index: np.ndarray) -> np.ndarray:
-    """Return of (n,) places whether each is followed by more than three usual steps; (n - 1,)."""
-    steps = np.diff(index)
-    return steps > 3 * np.median(steps) if steps.size else np.zeros(0, dtype=bool)
+def _in_bins(index: np.ndarray, samples: int, bins: int
+             ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return of (n,) places which end in a gap, (n - 1,), and the first and last of each bin."""
+    steps, column = np.diff(index), (index * bins) // samples
+    gap_after = steps > 3 * np.median(steps) if steps.size else np.zeros(0, dtype=bool)
+    starts = np.flatnonzero(np.r_[True, (np.diff(column) > 0) | gap_after])
+    return gap_after, starts, np.r_[starts[1:], len(index)] - 1
 
 
 def _first_of(values: np.ndarray, starts: np.ndarray, extreme: np.ufunc) -> np.ndarray:
@@ -95,11 +90,6 @@ class Smoother:
     window: int
     dt: float
     order: int
-
-    @property
-    def length(self) -> float:
-        """Length of the window, s."""
-        return self.window * self.dt
 
     def of(self, values: np.ndarray) -> np.ndarray:
         """Return the derivative of (n,) values; NaN at the ends and beside long gaps."""
@@ -122,16 +112,8 @@ class Smoother:
 def choose_smoother(values: np.ndarray, dt: float, order: int) -> Smoother | None:
     """Return the shortest of a few windows that keeps the noise below 3 % of the derivative.
 
-    Parameters
-    ----------
-    values : (n,) measured, SI.
-    dt : sample time, s.
-    order : 1 or 2.
-
-    Returns
-    -------
-    Smoother or None
-        None where no window fits into the data.
+    ``values`` are (n,) measured, SI, ``dt`` s apart; ``order`` is 1 or 2.  None where no window
+    fits into the data.
     """
     from scipy.signal import savgol_coeffs
 
@@ -230,14 +212,9 @@ def informative_window(motion: np.ndarray, dt: float, near: float | None = None
                    ) -> tuple[int, int, str]:
     """Return a window worth a closer look: (start, stop, what it shows).
 
-    Fast motions show three periods, slow ones the surroundings of a reversal.
-
-    Parameters
-    ----------
-    motion : (n,) measured or demanded position, NaN in gaps.
-    dt : sample time, s.
-    near : time that the window should be close to, s; by default three fifths into the record,
-        where filters have converged.
+    Fast motions show three periods, slow ones the surroundings of a reversal.  ``motion`` is a
+    position, (n,), NaN in gaps.  The window is close to the time ``near``, s; by default three
+    fifths into the record, where filters have converged.
     """
     n = len(motion)
     if n == 0:
@@ -252,17 +229,17 @@ def informative_window(motion: np.ndarray, dt: float, near: float | None = None
         else:
             length, words = max(1.0, 0.5 * half_period), "a reversal"
     else:
-        length, words = max(0.05 * n * dt, 20 * dt), "a part"
-        if len(turns):
-            words = "a reversal"
+        length, words = max(0.05 * n * dt, 20 * dt), "a reversal" if len(turns) else "a part"
     width = int(min(n, max(round(length / dt), 20)))
     centres = turns if len(turns) else np.array([int(near / dt)])
-    for centre in centres[np.argsort(np.abs(centres * dt - near))][:50]:
-        start = int(np.clip(centre - width // 2, 0, n - width))
+
+    def around(centre: int) -> int:
+        return int(np.clip(centre - width // 2, 0, n - width))
+
+    for start in map(around, centres[np.argsort(np.abs(centres * dt - near))][:50]):
         if np.isfinite(motion[start:start + width]).mean() > 0.98:
             return start, start + width, words
-    centre = int(centres[np.argmin(np.abs(centres * dt - near))])
-    start = int(np.clip(centre - width // 2, 0, n - width))
+    start = around(centres[np.argmin(np.abs(centres * dt - near))])
     return start, start + width, words
 
 
@@ -319,14 +296,12 @@ def robust_peak(values: np.ndarray) -> tuple[float, float]:
     return (3 * usual if usual > 0 and peak > 8 * usual else peak), peak
 
 
-def autocorrelation(values: np.ndarray, lags: int, most: int = 500_000
-                    ) -> tuple[np.ndarray, int]:
+def autocorrelation(values: np.ndarray, lags: int) -> tuple[np.ndarray, int]:
     """Return the autocorrelation at lags 1 to ``lags`` and the number of samples used.
 
-    The mean is not taken off, since innovations are expected to have none.  NaN are left out;
-    of a long record the last ``most`` samples are used.
+    The mean is not taken off, since innovations are expected to have none.  NaN are left out.
     """
-    z = values[-most:]
+    z = values[-500_000:]  # enough of a long record
     finite = np.isfinite(z)
     z = np.where(finite, z, 0.0)
     power = float(z @ z) / max(finite.sum(), 1)

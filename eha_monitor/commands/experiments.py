@@ -1,7 +1,10 @@
-"""``identify``: an experiment that decides what a rig has, within limits."""
+"""``identify`` and ``prove``: experiments on a rig, and with the diagnosis.
+
+``identify`` decides what a rig has, within limits; ``prove`` conceals effects in recordings, seals
+the key, and scores the diagnosis.
+"""
 
 import shlex
-from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -47,7 +50,9 @@ def identify(ros_args: list[str], config: Path | None, simulated: Path | None, o
     actuator. A motion is aborted at a limit, by the service identify/stop, and where data stop.
     """
     from eha_monitor.api.config import config_of
-    from eha_monitor.identify.experiment import bounds_of
+    from eha_monitor.api.read import checked
+    from eha_monitor.identify.experiment import SimulatedRig, bounds_of
+    from eha_monitor.identify.experiment import identify as rounds_of
     from eha_monitor.identify.plan import Planner
     from eha_monitor.quantity import rig_motion
 
@@ -55,7 +60,6 @@ def identify(ros_args: list[str], config: Path | None, simulated: Path | None, o
         raise InputError("--simulate: expected neither --wait nor ROS arguments beside it")
     common.check_outputs({"--json": json_file, "--report": report_file,
                           "--write-config": config_file}, (), config)
-    planned_bag = out / "planned"
     for name in ("planned",) if dry_run else (f"motion_{i:02d}" for i in range(MOST_MOTIONS)):
         common.check_new(out / name, overwrite)
     given = config_of(config)
@@ -63,22 +67,24 @@ def identify(ros_args: list[str], config: Path | None, simulated: Path | None, o
     bounds = bounds_of(given.settings, source)
     planner = Planner(given.settings, bounds, source, probability)
     if dry_run:
-        show_first(planner, planned_bag, overwrite)
+        show_first(planner, out / "planned", overwrite)
         return
     command = " ".join(["eha-monitor identify", *(f"{option} {shlex.quote(str(value))}"
                         for option, value in (("--config", config), ("--simulate", simulated))
                         if value is not None)])
 
     def experiment(rig: "Rig") -> str:
+        rounds: list[Round] = []
         with rig_motion(given.settings.rig.motion):  # of this thread
-            rounds = run(rig, planner, lambda one, count: written(
-                one, count, out, given.settings, overwrite))
+            with common.progress_bar() as told:
+                for one in rounds_of(rig, planner, lambda recording: checked(
+                        [recording], given.settings), told):
+                    rounds.append(one)
+                    written(one, len(rounds), out, given.settings, overwrite)
             return finish(rounds, planner, out, command,
                           (json_file, report_file, config_file), config)
 
     if simulated is not None:
-        from eha_monitor.identify.experiment import SimulatedRig
-
         aborted = experiment(SimulatedRig(config_of(simulated).settings, bounds, seed,
                                           str(simulated)))
     else:
@@ -86,21 +92,6 @@ def identify(ros_args: list[str], config: Path | None, simulated: Path | None, o
             given.settings, bounds, ros_args, wait, (out, overwrite), experiment)
     if aborted:
         raise InputError(aborted)
-
-
-def run(rig: "Rig", planner: "Planner",
-        each: Callable[["Round", int], None]) -> list["Round"]:
-    """Run the experiment; ``each`` is told every round as it comes."""
-    from eha_monitor.api.read import checked
-    from eha_monitor.identify.experiment import identify as rounds_of
-
-    rounds = []
-    with common.progress_bar() as told:
-        for one in rounds_of(rig, planner, lambda recording: checked(
-                [recording], planner.settings), told):
-            rounds.append(one)
-            each(one, len(rounds))
-    return rounds
 
 
 def written(one: "Round", count: int, out: Path, settings: "Settings", overwrite: bool) -> None:
@@ -118,7 +109,7 @@ def written(one: "Round", count: int, out: Path, settings: "Settings", overwrite
 def finish(rounds: list["Round"], planner: "Planner", out: Path, command: str,
            targets: tuple[Path | None, Path | None, Path | None], config: Path | None) -> str:
     """Write JSON, report and config; return why the experiment was aborted, or ""."""
-    from eha_monitor.api.diagnosis_answer import answer, written_config
+    from eha_monitor.api.diagnose import answer, written_config
     from eha_monitor.identify.experiment import tree
     from eha_monitor.quantity import in_units
     from eha_monitor.reports.diagnosis_report import diagnosis_page
@@ -138,8 +129,8 @@ def finish(rounds: list["Round"], planner: "Planner", out: Path, command: str,
         if report_file:
             write_text(report_file, diagnosis_page(found, settings, (), command))
         click.echo(found.message)
-    for path in (*bags, *targets):
-        if path is not None and Path(path).exists():
+    for path in filter(None, (*bags, *targets)):
+        if Path(path).exists():
             click.echo(f"written: {path}")
     return f"{bags[-1]}: aborted: {last.ran.aborted}" if (
         last.ran.aborted and not last.ran.asked) else ""
@@ -167,3 +158,76 @@ def show_first(planner: "Planner", bag: Path, overwrite: bool) -> None:
     click.echo(f"nothing is moved; planned: {plan_words(planned, dt)}")
     for path in (bag, picture):
         click.echo(f"written: {path}")
+
+
+@click.command()
+@common.config_option
+@click.option("--cases", type=click.IntRange(1, 10000), default=200, show_default=True,
+              help="How many recordings.")
+@click.option("--seed", type=click.IntRange(0, 2**31 - 1), default=1, show_default=True,
+              help="Seed of the draws; the first cases of a longer trial are the same.")
+@common.json_option
+@click.option("--report", "report_file", type=common.FILE, metavar="FILE.html",
+              help="Write a self-contained HTML report; without it DIR/proof.html.")
+@click.option("--draw", type=click.Choice(("mixed", "outside")), default="mixed",
+              show_default=True, help="Sets of 0 to 3 effects on all rigs and motions; or "
+              "effects that are not in the catalogue.")
+@click.option("--rig", type=click.Choice(("exact", "within", "beyond", "mixed")), default="mixed",
+              show_default=True, help="What the nominal configs say of the rig: the truth; each "
+              "number off by one tolerance (standard deviation); one number off by 3 to 10 of "
+              "them; or 40 %, 40 % and 20 % of these.")
+@click.option("--work", type=common.FILE, metavar="DIR",
+              help="Folder of recordings, key and answers; by default out/proof/... here. An "
+                   "interrupted trial is resumed.")
+@click.option("--keep", type=click.Choice(("same", "all", "none")), default="same",
+              show_default=True, help="Which results of an earlier run are kept: those of this "
+                                      "very source of the program, all, or none.")
+@click.option("--oracle/--no-oracle", default=False,
+              help="Also fit each case with a model that is given the true effects: the best "
+                   "achievable result and the available evidence (takes half as long again).")
+@click.option("--jobs", type=click.IntRange(1, 1024), default=None,
+              help="Processes at a time; all cores by default.")
+def prove(config: Path | None, cases: int, seed: int, json_file: Path | None,
+          report_file: Path | None, draw: str, rig: str, work: Path | None, keep: str,
+          oracle: bool, jobs: int | None) -> int:
+    """Conceal effects in recordings, seal the key, diagnose blind, open the key and score.
+
+    The key's SHA-256 is printed before any recording is read.  With a config all cases are on its
+    rig; without one, on the paper's and others about it.
+    """
+    common.end_as_on_interrupt()
+    common.check_target(json_file)
+    common.check_target(report_file)
+
+    from eha_monitor.prove.trial import Trial, cases_of, misses, write_json
+    from eha_monitor.prove.trial import prove as run
+    from eha_monitor.reports.proof_report import proof_page
+    from eha_monitor.settings import load_settings
+
+    settings = load_settings(config) if config else None
+    drawn = cases_of(draw, cases, seed, rig, settings, str(config))
+    kind = draw if rig == "mixed" else f"{draw}-{rig}"
+    work = (work or Path("out", "proof", f"{kind}-seed{seed}-{cases}")).resolve()
+    with common.progress_bar() as told:
+        found = run(Trial(drawn, seed, work, oracle, jobs or 0, keep), click.echo, told)
+        told("writing the report", 1.0)
+        report = report_file or work / "proof.html"
+        write_text(report, proof_page(found, work))
+    if json_file:
+        write_json(json_file, found)
+    click.echo(summary(found))
+    click.echo(f"{len(misses(found))} of {found['cases']} missed; written: {report}, "
+               f"{json_file or work / 'proof.json'}")
+    return 0
+
+
+def summary(found: dict) -> str:
+    """Return the marks as lines, each beside the figure that is aimed at."""
+    from eha_monitor.prove.score import MARKS
+
+    lines = []
+    for name, (words, aim, _, _) in MARKS.items():
+        value = found["score"].get(name)
+        shown = "-" if value is None else f"{100 * value:.1f} %"
+        lines.append(f"  {shown:>7}  {words}" + (f" (aim: {aim})" if aim else ""))
+    return "\n".join(lines)
