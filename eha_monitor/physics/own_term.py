@@ -24,6 +24,7 @@ below.  Anything else is refused with its place in the text.
 
 import ast
 import math
+import sys
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -396,7 +397,8 @@ class _Compiler:
 
     def _constant(self, node: ast.Constant) -> None:
         value = node.value
-        if isinstance(value, bool) or not isinstance(value, (int, float)) or not _finite(value):
+        if isinstance(value, bool) or not isinstance(value, (int, float)) or (
+                not abs(value) <= sys.float_info.max):  # a whole number may be larger
             raise ValueError(f"at character {node.col_offset + 1}: expected a finite number, got "
                              f"{str(value)[:40]!r}")
         self.codes.append(FIRST_CONSTANT + len(self.constants))
@@ -430,10 +432,3 @@ class _Compiler:
         for i, argument in enumerate(node.args):
             self.visit(argument, depth + i)
         self.codes.append(FIRST_TWO + TWO.index(name) if wanted == 2 else ONE.index(name))
-
-
-def _finite(value: float) -> bool:
-    try:
-        return math.isfinite(float(value))
-    except OverflowError:
-        return False

@@ -90,7 +90,9 @@ class Equations(NamedTuple):
 
 def actuator_of(y: np.ndarray, memory: np.ndarray) -> Actuator:
     """Return an actuator that has rested at ``y``, (N_STATE,), with its effects' memory."""
-    return Actuator(y, memory, new_past(y), np.zeros(1, dtype=np.int64))
+    past = np.tile(y[:4], (RING, 1))
+    past[:, Y_V] = 0.0
+    return Actuator(y, memory, past, np.zeros(1, dtype=np.int64))
 
 
 def new_state(x: float, p1: float, p2: float) -> np.ndarray:
@@ -98,14 +100,6 @@ def new_state(x: float, p1: float, p2: float) -> np.ndarray:
     y = np.zeros(N_STATE)
     y[Y_X], y[Y_P1], y[Y_P2], y[Y_PLAYED] = x, p1, p2, x
     return y
-
-
-def new_past(y: np.ndarray) -> np.ndarray:
-    """Return a past of rest at ``y``, (RING, 4)."""
-    past = np.zeros((RING, 4))
-    past[:] = y[:4]
-    past[:, Y_V] = 0.0
-    return past
 
 
 @njit(forceinline=True)

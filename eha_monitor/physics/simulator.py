@@ -227,14 +227,11 @@ class Simulator:
     def measure(self, truth: np.ndarray, shown: np.ndarray) -> dict[str, np.ndarray]:
         """Return the published channels: sensors, noise, resolution; channel -> (n,) SI."""
         rig, noise = self.settings.rig, self.settings.simulation.noise
-        p1, p2 = shown[:, 2], shown[:, 3]
+        x, v, p1, p2, omega = shown.T
         clean = {
-            "x": (shown[:, 0], noise.position),
-            "v": (shown[:, 1], noise.velocity),
-            "x_d": (truth[:, signals.X_D], 0.0),
-            "omega": (shown[:, 4], noise.pump_speed),
-            "p1": (p1, noise.pressure),
-            "p2": (p2, noise.pressure),
+            "x": (x, noise.position), "v": (v, noise.velocity),
+            "x_d": (truth[:, signals.X_D], 0.0), "omega": (omega, noise.pump_speed),
+            "p1": (p1, noise.pressure), "p2": (p2, noise.pressure),
             "force": (rig.area_1 * p1 - rig.area_2 * p2, noise.force),
             "temperature": (np.full(len(truth), self.settings.simulation.temperature),
                             noise.temperature),
