@@ -43,8 +43,7 @@ def steps(t: np.ndarray, duration: float, amplitude: float, each: float, rng) ->
     """Return steps to random places on alternate sides, the last back to 0; m."""
     count = round(duration / each)
     sides = np.where(np.arange(count - 1) % 2 == 0, 1.0, -1.0)
-    places = np.concatenate(
-        [[0.0], amplitude * sides * rng.uniform(0.3, 1.0, count - 1), [0.0]])
+    places = np.concatenate([[0.0], amplitude * sides * rng.uniform(0.3, 1.0, count - 1), [0.0]])
     corners = np.arange(count) * each
     at = np.column_stack([corners, corners + RAMP]).ravel()
     return np.interp(t, at, np.column_stack([places[:-1], places[1:]]).ravel())
@@ -289,8 +288,7 @@ def demand_of(case: Case, time: np.ndarray) -> np.ndarray:
     """Return x_d in m at any times, s since the recording's start."""
     if case.demand is not None:
         return np.interp(time, np.arange(len(case.demand)) * SAMPLE_TIME, case.demand)
-    return demanded_position(case.motion, time, case.seed,
-                             float(case.rig.get("amplitude", 1.0)))
+    return demanded_position(case.motion, time, case.seed, float(case.rig.get("amplitude", 1.0)))
 
 
 def fine_run(case: Case, made: list[Hidden], substeps: int = SUBSTEPS,

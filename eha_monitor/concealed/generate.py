@@ -172,8 +172,7 @@ def write_case(case: Case, folder: str | Path) -> tuple[Path, Path]:
                       Recording(SAMPLE_TIME, channels, start_ns=START_NS))
 
 
-def write_both(folder: Path, name: str, config: dict, recording: "Recording"
-               ) -> tuple[Path, Path]:
+def write_both(folder: Path, name: str, config: dict, recording: "Recording") -> tuple[Path, Path]:
     """Write a recording as the bag ``name`` and its config as ``name.yaml``; returns the paths."""
     from ruamel.yaml import YAML
 

@@ -188,8 +188,7 @@ def drafted(source: Source, answers: Answers) -> Draft:
     for _ in range(ROUNDS):
         settings, text, lines, recording, problem = _read(source, found, answers, checks, step)
         if recording is None:
-            return Draft(text, found, settings, None, _open(found, lines), Plausibility(),
-                         problem)
+            return Draft(text, found, settings, None, _open(found, lines), Plausibility(), problem)
         step = recording.sample_time
         told = _told_alone(settings, lines.rig)
         better, checks = mended(found, plausibility_of(recording, told).findings, told)

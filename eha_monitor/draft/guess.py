@@ -156,8 +156,7 @@ def guessed(source: Source, chosen: dict[str, str] | None = None) -> Map:
         if channel not in found and one not in named.values():
             found[channel] = (one, why)
     taken = [entry[0] if isinstance(entry, tuple) else entry for entry in found.values()]
-    rotary = any(map(_turns, taken)) and not any(
-        one.header.kind == "position" for one in taken)
+    rotary = any(map(_turns, taken)) and not any(one.header.kind == "position" for one in taken)
     channels = {}
     for channel, entry in sorted(found.items(), key=lambda one: CHANNELS.index(one[0])):
         one, why = entry if isinstance(entry, tuple) else (entry, "answered")

@@ -253,10 +253,9 @@ def no_such_zero(answers: Answers, seen: Seen, rotary: bool = False) -> str:
         return ""
     low, high = (degrees(one) if rotary else 1e3 * one for one in seen.span)
     unit = "deg" if rotary else "mm"
-    return (f"x runs from {low:.4g} to {high:.4g} {unit}, beyond the "
-            f"ends of a stroke of {answers.rig['stroke']} with x = 0 at {_WORDS[zero]}; is the "
-            f"stroke right?  What does x read in the middle of the stroke?  --set zero='100 "
-            f"{unit}'")
+    return (f"x runs from {low:.4g} to {high:.4g} {unit}, beyond the ends of a stroke of "
+            f"{answers.rig['stroke']} with x = 0 at {_WORDS[zero]}; is the stroke right?  What "
+            f"does x read in the middle of the stroke?  --set zero='100 {unit}'")
 
 
 def _volumes(answers: Answers, seen: Seen, rotary: bool, *areas: Entry) -> list[Entry]:

@@ -78,8 +78,7 @@ def platforms_for(wanted: tuple[str, ...]) -> tuple[Platform, ...]:
             raise InputError(MISSING)
         other = [folder for folder in wanted if folder != PLATFORMS[0].folder]
         if other:
-            raise InputError(f"--fmu-platform {other[0]}: needs ziglang; "
-                             + installs("export"))
+            raise InputError(f"--fmu-platform {other[0]}: needs ziglang; " + installs("export"))
         return PLATFORMS[:1]
     return tuple(known[folder] for folder in dict.fromkeys(wanted)) or PLATFORMS
 

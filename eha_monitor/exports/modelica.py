@@ -80,8 +80,7 @@ def across(flow: str) -> Written:
 
 
 _COULOMB = "{F_c}*" + _SIGN
-_STRIBECK = ("({F_c} + {F_d}*((1 - {h})*exp(-(abs(v)/{v_s})^{delta})"
-             " + {h}/(1 + (v/{v_s})^2)))")
+_STRIBECK = "({F_c} + {F_d}*((1 - {h})*exp(-(abs(v)/{v_s})^{delta}) + {h}/(1 + (v/{v_s})^2)))"
 _LEVEL = "max({F_c} + (if v < 0 then -1 else 1)*{dF}, 0)"
 _ASYMMETRIC = _LEVEL + "*" + _SIGN
 _BY_PRESSURE = "{mu}*max(p1 + p2, 0)*" + _SIGN

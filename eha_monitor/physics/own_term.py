@@ -50,8 +50,7 @@ PHASE = WIDTH - 1  # of both: the angle at which a recording begins, rad
 # To what a term adds -> the contributions that read it, and its unit.
 BALANCES = {"force": (of.FORCE,), "flow": (of.FLOW_1, of.FLOW_2), "flow_1": (of.FLOW_1,),
             "flow_2": (of.FLOW_2,), "speed": (of.SPEED,)}
-ADDED_UNITS = {"force": "N", "flow": "m³/s", "flow_1": "m³/s", "flow_2": "m³/s",
-               "speed": "rad/s"}
+ADDED_UNITS = {"force": "N", "flow": "m³/s", "flow_1": "m³/s", "flow_2": "m³/s", "speed": "rad/s"}
 ADDED = tuple(BALANCES)
 TO_FORCE, TO_FLOW, TO_FLOW_1, TO_FLOW_2, _TO_SPEED = range(len(ADDED))
 OF = ("x", "v", "dp", "p", "omega", "p1", "p2", "angle")  # that a term may be a function of
@@ -392,8 +391,7 @@ class _Compiler:
             what = ast.unparse(node)
             raise ValueError(f"at character {node.col_offset + 1}: {what[:40]!r} is no part of an "
                              f"expression, expected numbers, signals ({', '.join(OF)}), "
-                             "parameters, + - * / ** and functions "
-                             f"({', '.join(FUNCTIONS)})")
+                             f"parameters, + - * / ** and functions ({', '.join(FUNCTIONS)})")
 
     def _constant(self, node: ast.Constant) -> None:
         value = node.value

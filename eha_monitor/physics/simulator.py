@@ -116,8 +116,7 @@ class Simulator:
                 effects[effect] = {p.name: p.default if p.default is not None else p.neutral
                                    for p in parameters.CATALOGUE[effect].parameters}
         self.theta, self.active = parameters.theta_of(settings.rig, effects)
-        self.rng = np.random.default_rng(
-            settings.simulation.seed if seed is None else seed)
+        self.rng = np.random.default_rng(settings.simulation.seed if seed is None else seed)
         self._own_demand = demand
         self._tests: list[float] = []  # when each test excitation began, s
         start = self._demanded(np.zeros(1))[0]

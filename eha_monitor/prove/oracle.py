@@ -117,8 +117,7 @@ class RigNumbers:
 
         Along a ridge of numbers slopes from elsewhere would end too early.
         """
-        fit = max(fit, with_unknowns(self.experiment, fit),
-                  key=lambda one: one.log_likelihood)
+        fit = max(fit, with_unknowns(self.experiment, fit), key=lambda one: one.log_likelihood)
         if np.isfinite(fit.log_likelihood):
             fit = polished(self.experiment, fit, self.slopes(fit), ROUGH_STEPS, ROUGHLY)
         return at_level(self.experiment, fit) if np.isfinite(fit.log_likelihood) else fit
@@ -192,8 +191,7 @@ def fit_of_truth(rig: RigNumbers, first: Fit, known: dict[str, dict], truth: dic
     for f in rig.free(tuple(known)):
         theta[f.place] = true.get(f.name, theta[f.place])
     start_fit = replace(first, theta=theta)
-    starts = {name: true_start(experiment, name, parameters)
-              for name, parameters in known.items()}
+    starts = {name: true_start(experiment, name, parameters) for name, parameters in known.items()}
     for start in starts.values():
         start_fit = entered_at(start_fit, start)
     fit = rig.fitted(at_level(experiment, rig.beside(start_fit)))

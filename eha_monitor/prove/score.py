@@ -238,12 +238,10 @@ def row_of(truth: dict, answer: dict | None, oracle: dict | None = None,
     off = [name for name, error in errors_off.items() if error >= OFF]
     loose = [name for name, error in errors_off.items() if NEAR <= error < OFF]
     rig_evidence = (oracle or {}).get("rig_evidence", {})
-    rig_known = [name for name in off
-                 if not oracle or (rig_evidence.get(name) or 0) >= DETECTABLE]
+    rig_known = [name for name in off if not oracle or (rig_evidence.get(name) or 0) >= DETECTABLE]
     classes = {one["name"]: tuple(map(number_of, one["indistinguishable_from"]))
                for one in answer["effects"]}
-    said = {**classes, **{one["number"]: rivals_of(one, one["number"])
-                          for one in findings}}
+    said = {**classes, **{one["number"]: rivals_of(one, one["number"]) for one in findings}}
     accepted = {**{one["name"]: accepted_for(one, names, oracle)
                    for one in [*truth["effects"], *beside] if one["in_catalogue"]},
                 **{name: {name} for name in (*off, *loose)}}
@@ -558,8 +556,7 @@ def learned_row(truth: dict, answer: dict) -> dict | None:
         return None
     terms = answer.get("learned") or []
     if not terms:
-        return {"told": False, "removed": 0.0, "errors": {}, "inside": None,
-                "shape": False}
+        return {"told": False, "removed": 0.0, "errors": {}, "inside": None, "shape": False}
     term, after = terms[0], answer["parameters"]["after"]
     errors = {name: abs(after[name]["value"] / truth[name] - 1.0)
               for name in ("B", "beta_e") if name in after}

@@ -61,8 +61,7 @@ class Questions:
     what: str
 
 
-def children(questions: Questions, names: Sequence[str], jobs: int,
-             say: Report) -> None:
+def children(questions: Questions, names: Sequence[str], jobs: int, say: Report) -> None:
     """Have each name answered by a process of its own, ``jobs`` at a time, each on its cores."""
     jobs = max(1, min(jobs, len(names)))
     cores = sorted(os.sched_getaffinity(0))

@@ -253,8 +253,7 @@ def fit_grid(t: np.ndarray, values: np.ndarray, nominal: float) -> Grid:
     usual = float(lower_median(steps))
     rising = bool((steps > 0).all())
     spread = deviation(steps) / usual
-    step = usual if spread > ROUGH else float(
-        np.mean(steps[np.abs(steps - usual) < 0.5 * usual]))
+    step = usual if spread > ROUGH else float(np.mean(steps[np.abs(steps - usual) < 0.5 * usual]))
     target = _simple(usual, nominal)
     near = abs(step / target - 1) <= SNAP
     for candidate in (([target] if near else []) + [usual, step]) * rising:
@@ -381,8 +380,7 @@ def _sharpen(ahead: np.ndarray, missing: np.ndarray, width: int) -> np.ndarray:
     return np.maximum.accumulate(out)
 
 
-def _share_of_jitter(t: np.ndarray, index: np.ndarray, values: np.ndarray,
-                     step: float) -> float:
+def _share_of_jitter(t: np.ndarray, index: np.ndarray, values: np.ndarray, step: float) -> float:
     """Return how much of the stamps' unevenness the quantity took part in: 1 all, 0 none.
 
     Where a step in time is longer by dt - n step, a quantity that moves at speed v goes further

@@ -284,8 +284,7 @@ def _read(path: str | Path, settings: Settings, streamed: bool) -> Recording:
     if collector.stream is not None:
         recording = collector.stream.finish(str(path), losses, found)
     else:
-        recording = align(collector.channels(found), settings,
-                          source=str(path), losses=losses)
+        recording = align(collector.channels(found), settings, source=str(path), losses=losses)
     if any(file.truncated_at is not None for file in bag.files):
         recording = replace(recording, losses=tuple(
             f"{loss}: {recording.duration:.3f} s recovered" if "truncated at byte" in loss
@@ -486,10 +485,8 @@ class Collector:
         if read:
             reader = self.readers[read[0]]
             if reader.count == reader.unreadable:
-                return (f"{source}: {read[0]}: no message could be decoded as "
-                        f"{reader.msgtype}")
-            wants = ", ".join(f"{w.name}.{w.field}" if w.name else w.field
-                              for w in reader.wants)
+                return (f"{source}: {read[0]}: no message could be decoded as {reader.msgtype}")
+            wants = ", ".join(f"{w.name}.{w.field}" if w.name else w.field for w in reader.wants)
             return f"{source}: {read[0]}: no finite value in any message, expected {wants}"
         return (f"{source}: expected one of the topics {', '.join(wanted)}; the bag has "
                 f"{self._seen()}")

@@ -53,8 +53,7 @@ class Chunk:
             stamps = np.frombuffer(raw, "<i8", count, at).tolist()
             ends = np.cumsum(np.frombuffer(raw, "<u4", count, at + 8 * count)) + at + 12 * count
             starts = [at + 12 * count, *ends.tolist()]
-            found += zip((stream,) * count, stamps, map(
-                slice, starts, starts[1:]), strict=False)
+            found += zip((stream,) * count, stamps, map(slice, starts, starts[1:]), strict=False)
             at = starts[-1]
         for stream, stamp_ns, place in sorted(found, key=lambda one: one[1]):
             yield stream, stamp_ns, raw[place]

@@ -191,8 +191,7 @@ class Column(Section, Measured):
         None, allow_inf_nan=False, description="scale of cells below zero, if different: a pump "
                                                "whose valves switch it from one piston area to "
                                                "the other")
-    delay: Si("s", "delay of the row relative to the quantity",
-              possible=(1e-9, 2.0)) = 0.0
+    delay: Si("s", "delay of the row relative to the quantity", possible=(1e-9, 2.0)) = 0.0
 
     @property
     def negative_gain(self) -> float:
@@ -238,8 +237,7 @@ class Channel(Section, Measured):
                       "gauge; empty: SI")
     scale: float = Field(1.0, allow_inf_nan=False, description="of unit, per raw unit, not 0")
     offset: float = Field(0.0, allow_inf_nan=False, description="in unit, at raw zero")
-    delay: Si("s", "delay of the stamp relative to the quantity",
-              possible=(1e-9, 2.0)) = 0.0
+    delay: Si("s", "delay of the stamp relative to the quantity", possible=(1e-9, 2.0)) = 0.0
 
     @field_validator("scale")
     @classmethod

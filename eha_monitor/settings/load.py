@@ -204,8 +204,7 @@ def _one_line(model: type[BaseModel], problem: ValidationError) -> str:
     unit = f" in {unit}" if unit and unit != "1" else ""
     words = _WORDS.get(error["type"])
     if words:
-        text = words.format(unit=unit, input=reprlib.repr(error["input"]),
-                            **error.get("ctx", {}))
+        text = words.format(unit=unit, input=reprlib.repr(error["input"]), **error.get("ctx", {}))
     else:
         text = error["msg"].removeprefix("Value error, ")
         text = text[0].lower() + text[1:]

@@ -170,9 +170,8 @@ class Simulation(Section):
     test_excitation: dict[str, Segment] = Field(
         {"slow": Segment(kind="sine", duration=4.0, amplitude=0.02, frequency=0.5),
          "fast": Segment(kind="sine", duration=4.0, amplitude=0.005, frequency=4.0)},
-        description="intervals that the service simulator/excite inserts once, about the "
-                    "demanded position at their start; the excitation then "
-                    "continues", min_length=1)
+        description="intervals that the service simulator/excite inserts once, about the demanded "
+                    "position at their start; the excitation then continues", min_length=1)
     faults: dict[str, Fault] = Field({}, description="parameters that change, by name")
 
 

@@ -63,8 +63,7 @@ def dry_force(s, steady, z, t_1, v_d, m):
     fade = s[V] / v_d
     if z <= 0.0 or t_1 <= 0.0 or force == steady or abs(fade) > FADED:
         return force
-    return force + t_1 * math.exp(-fade * fade) * abs(s[V]) / max(z, RESOLVED) * (
-        steady - force)
+    return force + t_1 * math.exp(-fade * fade) * abs(s[V]) / max(z, RESOLVED) * (steady - force)
 
 
 @njit(forceinline=True)
