@@ -4,9 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from eha_monitor.recordings.columns import blocks, let_go, spans_of
+from eha_monitor.recordings.columns import any_of, blocks, let_go, spans_of
 
-BLOCK = 100_000  # samples worked on at once where memory would grow with the recording
 FILTER = 21  # samples of the running median under little jitter
 LONG_FILTER = 101  # and under much
 MUCH = 0.4  # spread of the steps, in steps, that is much jitter
@@ -42,11 +41,10 @@ def window_for(spread: float) -> int:
 
 
 def running_median(values: np.ndarray, width: int) -> np.ndarray:
-    """Median over ``width`` neighbours, in blocks, since the windows are copied; (n,)."""
-    padded = np.pad(values, width // 2, "symmetric")
-    windows = np.lib.stride_tricks.sliding_window_view(padded, width)
-    return np.concatenate([np.median(windows[start:start + BLOCK], axis=1)
-                           for start in range(0, len(values), BLOCK)])
+    """Median over ``width`` neighbours, an odd number, mirrored at both ends; (n,)."""
+    from scipy.ndimage import median_filter
+
+    return median_filter(values, width, mode="reflect")
 
 
 def repair(stamps: np.ndarray, label: str, said: list[str]) -> tuple[np.ndarray, bool]:
@@ -83,11 +81,11 @@ def _drop_wild(stamps, keep, step, label, said):
         return keep
     shifted = (stamps[keep] - stamps[keep[0]]).astype(float)
     far = np.abs(shifted - running_median(shifted, 5)) > max(1e9, 100 * step)
-    if far.any() and far.sum() < 0.1 * len(keep):
-        said.append(f"{label}: {_samples(int(far.sum()))} with a stamp far off its neighbours' "
-                    "dropped")
-        return keep[~far]
-    return keep
+    if not 0 < far.sum() < 0.1 * len(keep):
+        return keep
+    said.append(f"{label}: {_samples(int(far.sum()))} with a stamp far off its neighbours' "
+                "dropped")
+    return keep[~far]
 
 
 def _put_in_order(stamps, keep, step, label, said):
@@ -416,20 +414,15 @@ def tell_gaps(columns: dict[str, np.ndarray], step: float, said: list[str]) -> N
     """Say where rows are missing: of everything, then of single channels beyond that."""
     names, values = list(columns), tuple(columns.values())
 
-    def unseen():
-        for start, _, rows in blocks(*values):
-            yield start, ~np.isfinite(np.stack(rows)).any(axis=0)
+    def spans(test):
+        return spans_of((start, test(np.isfinite(np.stack(rows))))
+                        for start, _, rows in blocks(*values))
 
-    def lacking(place: int):
-        for start, _, rows in blocks(*values):
-            finite = np.isfinite(np.stack(rows))
-            yield start, ~finite[place] & finite.any(axis=0)
-
-    _tell_spans(*spans_of(unseen()), "no data", step, said)
+    _tell_spans(*spans(lambda finite: ~finite.any(axis=0)), "no data", step, said)
     for place, name in enumerate(names):
-        if not any(bool(np.isnan(rows[0]).any()) for _, _, rows in blocks(values[place])):
+        if not any_of((values[place],), np.isnan):
             continue
-        starts, stops = spans_of(lacking(place))
+        starts, stops = spans(lambda finite, place=place: ~finite[place] & finite.any(axis=0))
         long = (stops - starts) * step > max(GAP * step, 0.01)  # single NaN have been counted
         _tell_spans(starts[long], stops[long], f"{name}: no data", step, said)
     let_go(*values)

@@ -35,7 +35,6 @@ def stamps_of(cells) -> np.ndarray:
     """
     import pandas
 
-    nothing = np.full(len(cells), np.datetime64("NaT"), dtype="datetime64[ns]")
     text = cells.str.replace(",", ".", regex=False)
     some = text.iloc[:LOOKED_AT]
     for form in FORMATS:
@@ -44,7 +43,7 @@ def stamps_of(cells) -> np.ndarray:
         found = _read(pandas, text, form)
         stamps = found.dt.tz_localize(None).to_numpy(dtype="datetime64[ns]")
         return _days(stamps) if form.startswith("%H") else stamps
-    return nothing
+    return np.full(len(cells), np.datetime64("NaT"), dtype="datetime64[ns]")
 
 
 def _read(pandas, text, form: str):
@@ -214,24 +213,21 @@ def _is_number(cell: str) -> bool:
 def _mat(path: Path, wanted: list[str]) -> dict[str, np.ndarray]:
     """Read the wanted variables, and nothing else: a few bytes may unpack to gigabytes."""
     shapes = variables_of(path)
-    names = {}
-    for name in wanted:
-        match = _SLICE.fullmatch(name)
+    parts = {name: _SLICE.fullmatch(name) for name in wanted}
+    for name, match in parts.items():
         if match is None or match[1] not in shapes:
             raise InputError(f"{path}: variable '{name}' not found, the file has "
                              f"{', '.join(sorted(shapes)) or 'none'}")
-        names[match[1]] = None
+    names = list(dict.fromkeys(match[1] for match in parts.values()))
     cells = sum(math.prod(shapes[name]) for name in names)
     if cells > MOST_CELLS:
         raise InputError(f"{path}: the variables {', '.join(names)} hold {cells} numbers, "
                          f"expected at most {MOST_CELLS:.0e}")
     from scipy.io import loadmat
 
-    there = _tried(path, lambda: loadmat(path, variable_names=list(names)))
-    found = {}
-    for name in wanted:
-        match = _SLICE.fullmatch(name)
-        found[name] = _column(path, name, np.asarray(there.get(match[1])), match[2])
+    there = _tried(path, lambda: loadmat(path, variable_names=names))
+    found = {name: _column(path, name, np.asarray(there.get(match[1])), match[2])
+             for name, match in parts.items()}
     lengths = {name: len(values) for name, values in found.items()}
     if len(set(lengths.values())) > 1:
         told = ", ".join(f"{name} {length}" for name, length in lengths.items())
