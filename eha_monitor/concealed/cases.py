@@ -126,43 +126,29 @@ _BALANCES = {name: balance for table in (CATALOGUE_BALANCES, OUTSIDE_BALANCES)
 
 @dataclass(frozen=True)
 class Case:
-    """One recording to be made.
-
-    Attributes
-    ----------
-    name : of the case.
-    effects : (name, strength) pairs; 1 is clear, negative turns the sign where there is one.
-    motion : ``rich`` (24 s), ``short`` (6 s), ``triangle`` (the paper's, 24 s), ``two_speed``
-        (24 s) or ``sine`` (8 s).
-    seed : of noise, clock and the random parts of the motion.
-    noise : factor on the sensors' noise.
-    channels : what is recorded.
-    rig : constants of the true rig that differ from the paper's, by symbol, e.g. ``B``; also
-        ``amplitude``, the factor on the motion.
-    nominal : constants that the nominal config gets in place of the true design values; B and
-        beta_e are the paper's there unless named here.
-    tolerances : standard deviations of the logarithm that differ from ``TOLERANCES``, by symbol.
-    options : effect -> parameters of its key to set outright, e.g. ``{"pressure_offset":
-        {"sensor": "p2"}}``.
-    nuisance : factor on sensor lag, clock jitter and encoder step.
-    drive : ``analogue``; ``digital``: it reads the recorded position with its noise and holds the
-        speed that it computes until the next sample; ``digital_own``: it reads a sensor of its
-        own, without noise.
-    demand : (n,) x_d in m, one value to a sample, in place of the motion.
-    """
+    """One recording to be made."""
 
     name: str
+    # Name, strength: 1 is clear, negative turns the sign.
     effects: tuple[tuple[str, float], ...] = ()
-    motion: str = "rich"
-    seed: int = 0
-    noise: float = 1.0
-    channels: tuple[str, ...] = ("x", "x_d", "omega", "p1", "p2")
+    motion: str = "rich"  # a key of LENGTHS
+    seed: int = 0  # of noise, clock and the random parts of the motion
+    noise: float = 1.0  # factor on the sensors' noise
+    channels: tuple[str, ...] = ("x", "x_d", "omega", "p1", "p2")  # what is recorded
+    # Constants of the true rig that differ from the paper's, by symbol, e.g. ``B``; also
+    # ``amplitude``, the factor on the motion.
     rig: dict = field(default_factory=dict)
+    # Constants that the nominal config gets in place of the true design values; B and beta_e are
+    # the paper's there unless named here.
     nominal: dict = field(default_factory=dict)
-    tolerances: dict = field(default_factory=dict)
+    tolerances: dict = field(default_factory=dict)  # that differ from TOLERANCES, by symbol
+    # Effect -> parameters of its key to set outright: {"pressure_offset": {"sensor": "p2"}}.
     options: dict = field(default_factory=dict)
-    nuisance: float = 1.0
+    nuisance: float = 1.0  # factor on sensor lag, clock jitter and encoder step
+    # ``digital``: it reads the recorded position with its noise and holds the speed that it
+    # computes until the next sample; ``digital_own``: it reads a sensor of its own, without noise.
     drive: str = "analogue"
+    # (n,) x_d in m, one value to a sample, in place of the motion.
     demand: np.ndarray | None = field(default=None, compare=False, repr=False)
 
     def __post_init__(self):

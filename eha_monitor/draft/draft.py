@@ -153,24 +153,16 @@ ROUNDS = 4  # a swap may hide a unit, and that a sign
 
 @dataclass(frozen=True)
 class Draft:
-    """A config in the making.
+    """A config in the making."""
 
-    Attributes
-    ----------
-    text : the config as YAML.
-    settings, recording : as the config reads the file; None where it cannot be read yet.
-    asked : keys that nobody has told yet, with the words of the question.
-    judged : what the checks say in the end.
-    problem : why the file cannot be read yet, or "".
-    """
-
-    text: str
+    text: str  # the config as YAML
     map: Map
     settings: Settings
-    recording: Recording | None
+    recording: Recording | None  # as the config reads the file; None where it cannot yet
+    # Keys that nobody has told yet, with the words of the question.
     asked: tuple[tuple[str, str], ...]
-    judged: Plausibility
-    problem: str = ""
+    judged: Plausibility  # what the checks say in the end
+    problem: str = ""  # why the file cannot be read yet
 
 
 def drafted(source: Source, answers: Answers) -> Draft:

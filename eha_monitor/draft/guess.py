@@ -98,23 +98,16 @@ _UNITS_OF = {"x": "position", "x_d": "position", "v": "velocity", "omega": "turn
 
 @dataclass(frozen=True)
 class Guess:
-    """A channel of the draft.
-
-    Attributes
-    ----------
-    unit, scale, offset, delay : as the map takes them; ``unit`` is of the time ``1 ms`` and so on.
-    why : where column and unit come from, as the end of a line.
-    sure : the header names the unit, or somebody has answered: values do not overrule it.
-    full : ``share`` or ``counts`` where nothing can be read before somebody says how much is all.
-    """
+    """A channel of the draft; unit, scale, offset and delay as the map takes them."""
 
     candidate: Candidate
-    unit: str
-    why: str
+    unit: str  # of the time ``1 ms`` and so on
+    why: str  # where column and unit come from, as the end of a line
     scale: float = 1.0
     offset: float = 0.0
+    # The header names the unit, or somebody answered: values do not overrule it.
     sure: bool = False
-    full: str = ""
+    full: str = ""  # ``share`` or ``counts`` where somebody has to say first how much is all
     delay: float = 0.0
 
 

@@ -61,20 +61,13 @@ PARTS = {
 
 @dataclass(frozen=True)
 class Entry:
-    """One line of the draft.
-
-    Attributes
-    ----------
-    key, value, why : what, as YAML, and where it comes from.
-    ask : whether it is open.
-    off : relative error of what the recording itself shows; 0 where only the source counts.
-    """
+    """One line of the draft."""
 
     key: str
-    value: str
-    why: str
-    ask: bool = False
-    off: float = 0.0
+    value: str  # as YAML
+    why: str  # where it comes from
+    ask: bool = False  # whether it is open
+    off: float = 0.0  # relative error of what the recording shows; 0 where only the source counts
 
 
 class Gain(NamedTuple):
@@ -91,21 +84,13 @@ class Gain(NamedTuple):
 
 @dataclass(frozen=True)
 class Seen:
-    """What the recording itself shows of the rig; None where it does not.
-
-    Attributes
-    ----------
-    sample_time : s.
-    charge : Pa, the mean of both pressures.
-    pump_over_area : m of travel per rad of the pump, D_p/A.
-    span : m, the lowest and the highest position.
-    """
+    """What the recording itself shows of the rig, SI; None where it does not."""
 
     sample_time: float
     gain: Gain | None = None
-    charge: float | None = None
-    pump_over_area: float | None = None
-    span: tuple[float, float] | None = None
+    charge: float | None = None  # the mean of both pressures
+    pump_over_area: float | None = None  # m of travel per rad of the pump, D_p/A
+    span: tuple[float, float] | None = None  # the lowest and the highest position
 
 
 def number(value: float) -> str:

@@ -194,19 +194,16 @@ VR_X_START, VR_CLOSED, VR_OUTPUT, VR_PARAMETER = 10, 11, 100, 1000
 
 @dataclass(frozen=True)
 class Variable:
-    """A parameter: its name in the FMU, place in theta, unit, start, range, and if it may change.
-
-    ``tunable`` : may be set while the simulation runs; another only before it.
-    """
+    """A parameter of the FMU."""
 
     name: str
-    place: int
+    place: int  # in theta
     unit: str
     description: str
     start: float
     lower: float | None
     upper: float | None
-    tunable: bool
+    tunable: bool  # may be set while the simulation runs; another only before it
 
 
 def parameters_of(model: Model, theta: np.ndarray) -> list[Variable]:

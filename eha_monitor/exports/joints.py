@@ -52,27 +52,18 @@ class Motion:
 
 @dataclass(frozen=True)
 class Law:
-    """Force against positive motion over velocity, at x = 0 and the charge pressure.
+    """Force against positive motion over velocity, at x = 0 and the charge pressure."""
 
-    Attributes
-    ----------
-    velocity, force : (n,) m/s and N, all that acts, with B v.
-    viscous : B, N·s/m;  dry : (n,) N, the force less B v and less the load.
-    load : force at rest, N;  mass : moving mass with what effects add, kg.
-    by_position : effects and own terms that depend on the position; held at x = 0.
-    by_velocity : those that are no load and no mass.
-    names : effects and own terms of the force balance that are in it.
-    """
-
-    velocity: np.ndarray
-    force: np.ndarray
-    viscous: float
-    dry: np.ndarray
-    load: float
-    mass: float
+    velocity: np.ndarray  # (n,) m/s
+    force: np.ndarray  # (n,) N, all that acts, with B v
+    viscous: float  # B, N·s/m
+    dry: np.ndarray  # (n,) N, the force less B v and less the load
+    load: float  # force at rest, N
+    mass: float  # moving mass with what effects add, kg
+    # Effects and own terms that depend on the position; held at x = 0.
     by_position: tuple[str, ...]
-    by_velocity: tuple[str, ...]
-    names: tuple[str, ...]
+    by_velocity: tuple[str, ...]  # those that are no load and no mass
+    names: tuple[str, ...]  # effects and own terms of the force balance that are in it
 
     def inertia(self, rotary: bool) -> tuple[float, float]:
         """Return mass in kg and moment of inertia in kg·m² of the link; one is for form's sake."""
@@ -81,18 +72,12 @@ class Law:
 
 @dataclass(frozen=True)
 class TwoNumbers:
-    """What a simulator's joint takes: F = damping v + friction sgn v.
+    """What a simulator's joint takes: F = damping v + friction sgn v."""
 
-    Attributes
-    ----------
-    damping, friction : N·s/m and N.
-    error : N, largest difference from the law;  at : m/s, where.
-    """
-
-    damping: float
-    friction: float
-    error: float
-    at: float
+    damping: float  # N·s/m
+    friction: float  # N
+    error: float  # largest difference from the law, N
+    at: float  # where that is, m/s
 
 
 def motion_of(model: Model) -> Motion:

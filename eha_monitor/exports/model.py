@@ -36,16 +36,10 @@ _NEEDED = ("area_1", "area_2", "volume_1", "volume_2", "pump_displacement")
 
 @dataclass(frozen=True)
 class Model:
-    """A config to be exported.
-
-    Attributes
-    ----------
-    settings : rig, effects and simulation.
-    source : name of the config's file, in comments and errors.
-    """
+    """A config to be exported."""
 
     settings: Settings
-    source: str
+    source: str  # name of the config's file, in comments and errors
 
     @property
     def rotary(self) -> bool:
@@ -94,15 +88,10 @@ class Model:
 
 @dataclass(frozen=True)
 class Exported:
-    """A file in another program's format.
-
-    Attributes
-    ----------
-    content : text or bytes of the file.
-    lost : one line for each piece of the model that the format does not hold.
-    """
+    """A file in another program's format."""
 
     content: str | bytes
+    # One line for each piece of the model that the format does not hold.
     lost: tuple[str, ...] = ()
 
 

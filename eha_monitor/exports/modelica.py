@@ -39,17 +39,11 @@ _SIGN = "((1 - {w})*tanh(v/{v_e}) + {w}*v/({v_e} + abs(v)))"
 
 @dataclass(frozen=True)
 class Written:
-    """An effect in Modelica.
+    """An effect in Modelica."""
 
-    Attributes
-    ----------
-    adds : contribution (``force``, ``flow_1``, ..., see CONTRIBUTIONS) -> expression.
-    variables : further variables: name -> start, or "" for an algebraic one.
-    equations : further equations.
-    """
-
+    # Contribution (``force``, ``flow_1``, ..., see CONTRIBUTIONS) -> expression.
     adds: dict[str, str]
-    variables: dict[str, str] = field(default_factory=dict)
+    variables: dict[str, str] = field(default_factory=dict)  # name -> start, or "" if algebraic
     equations: tuple[str, ...] = ()
 
 

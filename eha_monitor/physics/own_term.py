@@ -305,21 +305,13 @@ LONGEST = 400  # characters
 
 @dataclass(frozen=True)
 class Expression:
-    """A parsed expression.
+    """A parsed expression."""
 
-    Attributes
-    ----------
-    text : as it was written.
-    codes : postfix, for :func:`eha_monitor.physics.own_term.expressed`.
-    constants : the numbers of the text; None where a parameter stands, in the order of the codes'
-        places.
-    parameters : names of the parameters -> their place among the constants.
-    """
-
-    text: str
-    codes: tuple[int, ...]
+    text: str  # as it was written
+    codes: tuple[int, ...]  # postfix, for :func:`expressed`
+    # The numbers of the text; None where a parameter stands, in the order of the codes' places.
     constants: tuple[float | None, ...]
-    parameters: dict[str, int]
+    parameters: dict[str, int]  # names -> their place among the constants
 
     def slot(self, adds: str, values: dict[str, float]) -> np.ndarray:
         """Return the slot of theta that holds it, (WIDTH,), with its parameters' values, SI."""

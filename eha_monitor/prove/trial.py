@@ -43,22 +43,13 @@ LONGEST = 1800.0  # s that a diagnosis may take
 
 @dataclass(frozen=True)
 class Questions:
-    """Questions of one kind.
+    """Questions of one kind."""
 
-    Attributes
-    ----------
-    module : what is run, as by ``python -m``.
-    folder : of the answers, ``NAME.json``, and of how they ran, ``NAME.run.json``.
-    source : digest of what has a part in the answers.
-    arguments : name of a question -> arguments of the module.
-    what : the work in words.
-    """
-
-    module: str
-    folder: Path
-    source: str
-    arguments: Callable[[str], list[str]]
-    what: str
+    module: str  # what is run, as by ``python -m``
+    folder: Path  # of the answers, ``NAME.json``, and of how they ran, ``NAME.run.json``
+    source: str  # digest of what has a part in the answers
+    arguments: Callable[[str], list[str]]  # name of a question -> arguments of the module
+    what: str  # the work in words
 
 
 def children(questions: Questions, names: Sequence[str], jobs: int, say: Report) -> None:
@@ -211,47 +202,30 @@ FEW = 4  # cases that are made without processes of their own
 
 @dataclass(frozen=True)
 class Question:
-    """One process that answers, with what it is handed.
+    """One process that answers, with what it is handed."""
 
-    Attributes
-    ----------
-    name : of the answer.
-    bags : names of the recordings; the config is that of the first.
-    command : ``diagnose`` or ``advise``.
-    held_out : name of a recording on which the fit is shown.
-    """
-
-    name: str
-    bags: tuple[str, ...]
-    command: str = "diagnose"
-    held_out: str = ""
+    name: str  # of the answer
+    bags: tuple[str, ...]  # names of the recordings; the config is that of the first
+    command: str = "diagnose"  # or ``advise``
+    held_out: str = ""  # name of a recording on which the fit is shown
 
 
 @dataclass(frozen=True)
 class Trial:
-    """What is tried, and how.
+    """What is tried, and how."""
 
-    Attributes
-    ----------
-    cases : what is concealed.
-    seed : of the draws.
-    work : folder of the trial.
-    oracle : also fit each case with a model that knows the effects, not the true rig.
-    jobs : processes at a time; each gets its share of the cores.
-    keep : which answers of an earlier run stay: of the ``same`` source, ``all``, ``none``.
-    questions : to be answered; without them one diagnosis of each recording by itself.
-    conceal : writes the recording of a case into a folder and returns what is true of it.
-    complete : given the opened key, returns it with what lies elsewhere and was sealed by digest.
-    """
-
-    cases: tuple[Case, ...]
-    seed: int
-    work: Path
+    cases: tuple[Case, ...]  # what is concealed
+    seed: int  # of the draws
+    work: Path  # folder of the trial
+    # Also fit each case with a model that knows the effects, not the true rig.
     oracle: bool = False
-    jobs: int = 0
+    jobs: int = 0  # processes at a time; each gets its share of the cores
+    # Answers of an earlier run that stay: of the ``same`` source, ``all``, ``none``.
     keep: str = "same"
-    questions: tuple[Question, ...] = ()
+    questions: tuple[Question, ...] = ()  # without them one diagnosis of each recording by itself
+    # Writes the recording of a case into a folder and returns what is true of it.
     conceal: Callable[[Case, Path], dict] | None = None
+    # Given the opened key, returns it with what lies elsewhere and was sealed by digest.
     complete: Callable[[dict], dict] | None = None
 
     def all_questions(self) -> tuple[Question, ...]:

@@ -309,10 +309,7 @@ class BagWriter:
         """Append one serialised message; ``stamp_ns`` is its log time."""
         self._writer.add_message(self._ids[topic], stamp_ns, data, stamp_ns)
         self.counts[topic] += 1
-        if stamp_ns < self.first:
-            self.first = stamp_ns
-        if stamp_ns > self.last:
-            self.last = stamp_ns
+        self.first, self.last = min(self.first, stamp_ns), max(self.last, stamp_ns)
 
     def write_many(self, channels: dict[str, tuple[np.ndarray, np.ndarray]]) -> None:
         """Append messages of topics: rising log times (m,) ns and messages (m, length) uint8.
@@ -397,10 +394,7 @@ class BagWriter:
         return self
 
     def __exit__(self, kind, value, traceback) -> None:
-        if kind is None:
-            self.close()
-        else:
-            self.abort()
+        self.close() if kind is None else self.abort()
 
     @staticmethod
     def _remove(path: Path) -> None:

@@ -47,20 +47,13 @@ STAMP = (Want("header.stamp.sec"), Want("header.stamp.nanosec"))
 
 @dataclass
 class Layout:
-    """Places in one message, and in all that are alike.
+    """Places in one message, and in all that are alike."""
 
-    Attributes
-    ----------
-    template : the message.
-    places : want -> (byte offset from the encapsulation on, dtype); absent if not in there.
-    positions : byte offsets of everything that fixes the layout.
-    names : of the joints, where the message has names.
-    """
-
-    template: bytes
+    template: bytes  # the message
+    # Byte offset from the encapsulation on, and type, of each want that is in there.
     places: dict[Want, tuple[int, np.dtype]] = field(default_factory=dict)
-    positions: list[int] = field(default_factory=lambda: [0, 1])
-    names: list[str] = field(default_factory=list)
+    positions: list[int] = field(default_factory=lambda: [0, 1])  # bytes that fix the layout
+    names: list[str] = field(default_factory=list)  # of the joints, where the message has names
 
     @cached_property
     def _fixed(self) -> tuple[np.ndarray, np.ndarray]:
@@ -272,20 +265,12 @@ def _complete(types: dict, msgtype: str) -> bool:
 
 @dataclass(frozen=True)
 class Series:
-    """One channel as it was recorded.
+    """One channel as it was recorded."""
 
-    Attributes
-    ----------
-    stamp_ns : (n,) int64 stamps in recorded order: header stamps, or log times without them.
-    log_ns : (n,) int64 times at which the recorder took the messages.
-    values : (n,) float64, raw units.
-    stamped : whether ``stamp_ns`` are header stamps.
-    """
-
-    stamp_ns: np.ndarray
-    log_ns: np.ndarray
-    values: np.ndarray
-    stamped: bool
+    stamp_ns: np.ndarray  # (n,) int64 in recorded order: header stamps, or log times without them
+    log_ns: np.ndarray  # (n,) int64 times at which the recorder took the messages
+    values: np.ndarray  # (n,) float64, raw units
+    stamped: bool  # whether ``stamp_ns`` are header stamps
 
     def in_si(self, channel: Channel) -> "Series":
         """Return the channel in SI at the times at which its quantity was there."""

@@ -208,23 +208,16 @@ ROUGH = 0.2  # spread of the steps, in steps, above which a missing sample hides
 
 @dataclass(frozen=True)
 class Grid:
-    """How stamps lie on a uniform grid.
+    """How stamps lie on a uniform grid."""
 
-    Attributes
-    ----------
-    start, step : first grid point and spacing, s.
-    index : (n,) int64 place of each sample on the grid; of no use when ``mode`` is
-        ``instants``.
-    mode : ``exact`` (stamps on the grid), ``snapped`` (stamps jitter about it), ``instants``
-        (samples were taken at their uneven stamps).
-    jitter : root mean square of the stamps' distance from the grid, or of the steps' distance
-        from whole samples where the mode is ``instants``, s.
-    """
-
-    start: float
-    step: float
-    index: np.ndarray
+    start: float  # first grid point, s
+    step: float  # s
+    index: np.ndarray  # (n,) int64 place of each sample; of no use when ``mode`` is ``instants``
+    # ``exact`` (stamps on the grid), ``snapped`` (stamps jitter about it), ``instants`` (samples
+    # were taken at their uneven stamps).
     mode: str
+    # Root mean square of the stamps' distance from the grid, or of the steps' distance from whole
+    # samples where the mode is ``instants``, s.
     jitter: float = 0.0
 
     def times(self, t: np.ndarray) -> np.ndarray:
@@ -252,7 +245,7 @@ def fit_grid(t: np.ndarray, values: np.ndarray, nominal: float) -> Grid:
     rising = bool((steps > 0).all())
     spread = deviation(steps) / usual
     step = usual if spread > ROUGH else float(np.mean(steps[np.abs(steps - usual) < 0.5 * usual]))
-    target = _simple(usual, nominal)
+    target = simple_step(usual, nominal)
     near = abs(step / target - 1) <= SNAP
     for candidate in (([target] if near else []) + [usual, step]) * rising:
         grid = _exact(t, candidate, refine=candidate != target)
@@ -283,7 +276,7 @@ def fit_grid(t: np.ndarray, values: np.ndarray, nominal: float) -> Grid:
                 float(np.sqrt(np.mean(uneven ** 2))))
 
 
-def _simple(usual: float, nominal: float) -> float:
+def simple_step(usual: float, nominal: float) -> float:
     """Return the multiple or whole part of ``nominal`` that is nearest."""
     ratio = min(max(usual / nominal, 1e-9), 1e9)
     return nominal * round(ratio) if ratio >= 1 else nominal / round(1 / ratio)

@@ -16,7 +16,6 @@ from eha_monitor.settings import Settings, load_settings
 from eha_monitor.settings.channels import CHANNEL_WORDS
 
 SHUFFLED = 0.25  # share of steps backwards in time that neither jitter nor a clock makes
-
 OFTEN = 0.7  # of its cells hold a number: the others are damage, and counted
 
 
@@ -36,15 +35,8 @@ def import_file(file: str | Path, map_file: str | Path, out: str | Path, *,
         One line: file or key, and what was expected.
     """
     check_bag_target(out, overwrite)  # before the work, not after it
-    return import_table(file, load_settings(map_file), out, map_source=str(map_file),
-                        overwrite=overwrite)
-
-
-def import_table(file: str | Path, settings: Settings, out: str | Path, *,
-                 map_source: str = "config", overwrite: bool = False) -> Recording:
-    """Turn a table into a bag with settings at hand; see :func:`import_file`."""
-    check_bag_target(out, overwrite)
-    recording = read_table(file, settings, map_source=map_source)
+    settings = load_settings(map_file)
+    recording = read_table(file, settings, map_source=str(map_file))
     write_recording(out, recording, settings, overwrite=overwrite)
     return recording
 

@@ -159,17 +159,19 @@ class Ring:
     def messages(self) -> int:
         """Messages in memory."""
         with self._lock:
-            young = self._chunks[0].number if self._chunks else self._closed
-            return (self._open_count + sum(c.count for c in self._chunks)
-                    + sum(c.count for c in self._held if c.number < young))
+            return self._open_count + sum(c.count for c in (*self._chunks, *self._old()))
 
     @property
     def megabytes(self) -> float:
         """Memory of the messages, MB."""
         with self._lock:
-            young = self._chunks[0].number if self._chunks else self._closed
-            held = sum(len(c.data) for c in self._held if c.number < young)
+            held = sum(len(c.data) for c in self._old())
             return (self._bytes + held + len(self._open)) / 1e6
+
+    def _old(self) -> list[Chunk]:
+        """Return what has aged and is still held."""
+        young = self._chunks[0].number if self._chunks else self._closed
+        return [chunk for chunk in self._held if chunk.number < young]
 
     def _close(self, now: float) -> None:
         # A copy of its own size: what zstandard returns holds the memory of the uncompressed.
