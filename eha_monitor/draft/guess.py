@@ -113,16 +113,14 @@ class Guess:
 
 @dataclass(frozen=True)
 class Map:
-    """What was guessed: the time, the channels, what nobody uses.
-
-    ``machines`` are the first words of the columns where these part several machines, that of
-    ``x`` first; empty where the file is of one machine, or somebody has named the column of x.
-    """
+    """What was guessed: the time, the channels, what nobody uses."""
 
     time: Guess | None
     channels: dict[str, Guess]
     unused: tuple[Candidate, ...]
     rotary: bool = False
+    # The first words of the columns where these part several machines, that of ``x`` first; empty
+    # where the file is of one machine, or somebody has named the column of x.
     machines: tuple[str, ...] = ()
 
     def with_channel(self, name: str, guess: Guess) -> "Map":

@@ -71,15 +71,11 @@ class Entry:
 
 
 class Gain(NamedTuple):
-    """A gain of the position loop that a recording shows.
+    """A gain of the position loop that a recording shows."""
 
-    K_pos : rad/(s·m); ``explains`` the share of the speed's variance, beside a feed-forward of the
-        demand's rate, ``fed``, rad/m, where that is much of it.
-    """
-
-    K_pos: float
-    explains: float
-    fed: float = 0.0
+    K_pos: float  # rad/(s·m)
+    explains: float  # share of the speed's variance, beside a feed-forward of the demand's rate
+    fed: float = 0.0  # that feed-forward, where it is much of it, rad/m
 
 
 @dataclass(frozen=True)

@@ -30,37 +30,26 @@ AHEAD = 2.0  # steps in which a valve that opens is foreseen
 
 
 class Actuator(NamedTuple):
-    """What an actuator carries on from step to step, written in place.
+    """What an actuator carries on from step to step, written in place."""
 
-    y : (N_STATE,) state.
-    memory : (N_EFFECTS, MAX_MEMORY) of the effects.
-    past, newest : (RING, 4) ring of the past, and (1,) its newest entry.
-    """
-
-    y: np.ndarray
-    memory: np.ndarray
-    past: np.ndarray
-    newest: np.ndarray
+    y: np.ndarray  # (N_STATE,) state
+    memory: np.ndarray  # (N_EFFECTS, MAX_MEMORY) of the effects
+    past: np.ndarray  # (RING, 4) ring of the past
+    newest: np.ndarray  # (1,) its newest entry
 
 
 class Given(NamedTuple):
-    """What drives an actuator.
+    """What drives an actuator."""
 
-    u, pieces : the input (:func:`input_at`).
-    lead : place of the first sample in it.
-    closed : True where u is x_d in m and the drive closes the loop; False where u is the shaft
-        speed in rad/s.
-    held : the drive reads x_d and x at the start of each sample and holds what it wants, a
-        digital controller; of a closed loop.
-    heard : (m,) position that such a drive has read at each of the first samples, m; NaN, and
-        after them, where it reads the state's.
-    """
-
-    u: np.ndarray
+    u: np.ndarray  # the input (:func:`input_at`)
     pieces: int
-    lead: int
-    closed: bool
+    lead: int  # place of the first sample in it
+    closed: bool  # u is x_d in m and the drive closes the loop; else u is the shaft speed in rad/s
+    # A digital controller, of a closed loop: the drive reads x_d and x at the start of each sample
+    # and holds what it wants.
     held: bool
+    # (m,) position that such a drive has read at each of the first samples, m; NaN, and after
+    # them, where it reads the state's.
     heard: np.ndarray
 
 

@@ -30,15 +30,11 @@ _LARGEST_STREAM = 2**16
 
 @dataclass(frozen=True)
 class Chunk:
-    """Consecutive messages, compressed.
+    """Consecutive messages, compressed."""
 
-    ``number`` counts the chunks of the ring from 0; ``began_s`` is on the monotonic clock, the
-    stamps are log times in ns.
-    """
-
-    number: int
-    began_s: float
-    first_ns: int
+    number: int  # counts the chunks of the ring from 0
+    began_s: float  # on the monotonic clock
+    first_ns: int  # log times
     last_ns: int
     count: int
     data: bytes
@@ -201,21 +197,15 @@ REST_S = 0.003
 
 @dataclass(frozen=True)
 class Saved:
-    """What came of one attempt.
+    """What came of one attempt."""
 
-    ``path`` is the bag; ``problem`` is a sentence and says why there is none; ``first_ns``,
-    ``last_ns`` and ``count`` tell what was, or was to be, written; ``dropped`` counts the messages
-    in between that went while earlier attempts failed; ``left_out`` names topics of a type that
-    is not known.
-    """
-
-    path: Path
-    first_ns: int
+    path: Path  # of the bag
+    first_ns: int  # of what was, or was to be, written
     last_ns: int
     count: int
-    dropped: int = 0
-    problem: str | None = None
-    left_out: tuple[str, ...] = ()
+    dropped: int = 0  # messages in between that went while earlier attempts failed
+    problem: str | None = None  # a sentence that says why there is no bag
+    left_out: tuple[str, ...] = ()  # topics of a type that is not known
 
     @property
     def span_s(self) -> float:
