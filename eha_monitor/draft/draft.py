@@ -8,11 +8,11 @@ import numpy as np
 
 from eha_monitor import __version__
 from eha_monitor.draft.answers import Answers, checked, full_scale
-from eha_monitor.draft.effects import effects_of
 from eha_monitor.draft.guess import Guess, Map, guessed
 from eha_monitor.draft.rig import (
     Entry,
     Seen,
+    effects_of,
     number,
     open_choices,
     rig_entries,

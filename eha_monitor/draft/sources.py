@@ -13,7 +13,7 @@ import numpy as np
 
 from eha_monitor.draft.words import Header, kind_of, read
 from eha_monitor.errors import InputError
-from eha_monitor.recordings.tables import (
+from eha_monitor.recordings.importing import (
     encoding_of,
     first_lines,
     parted_cells,

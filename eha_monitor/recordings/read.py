@@ -15,9 +15,8 @@ import numpy as np
 from eha_monitor.errors import InputError, one_line
 from eha_monitor.recordings import align as whole
 from eha_monitor.recordings import cdr
-from eha_monitor.recordings.align import align
+from eha_monitor.recordings.align import align, released
 from eha_monitor.recordings.bag import Bag
-from eha_monitor.recordings.between import released
 from eha_monitor.recordings.cdr import Series, TopicReader, Want, types_of
 from eha_monitor.recordings.columns import PIECE, Column
 from eha_monitor.recordings.grid import JITTER, Grid, fit_grid, repair, simple_step, tell_gaps
