@@ -70,19 +70,15 @@ def demanded_position(motion: str, t: np.ndarray, seed: int = 0, scale: float = 
     rng = np.random.default_rng([seed, 77])
     tones, places = rng.spawn(2)
     if motion == "rich":
-        parts = (
-            (8.0, lambda u: triangle(u, 4.0, 0.04)),
-            (4.0, lambda u: triangle(u, 4.0, 0.008)),
-            (8.0, lambda u: multisine(u, 8.0, 0.036, tones)),
-            (4.0, lambda u: steps(u, 4.0, 0.008, 0.4, places)),
-        )
+        parts = ((8.0, lambda u: triangle(u, 4.0, 0.04)),
+                 (4.0, lambda u: triangle(u, 4.0, 0.008)),
+                 (8.0, lambda u: multisine(u, 8.0, 0.036, tones)),
+                 (4.0, lambda u: steps(u, 4.0, 0.008, 0.4, places)))
     elif motion == "short":
-        parts = (
-            (2.0, lambda u: triangle(u, 2.0, 0.02)),
-            (1.0, lambda u: triangle(u, 1.0, 0.002)),
-            (2.0, lambda u: multisine(u, 2.0, 0.036, tones)),
-            (1.0, lambda u: steps(u, 1.0, 0.008, 0.2, places)),
-        )
+        parts = ((2.0, lambda u: triangle(u, 2.0, 0.02)),
+                 (1.0, lambda u: triangle(u, 1.0, 0.002)),
+                 (2.0, lambda u: multisine(u, 2.0, 0.036, tones)),
+                 (1.0, lambda u: steps(u, 1.0, 0.008, 0.2, places)))
     else:
         raise ValueError(f"motion: expected {', '.join(LENGTHS)}, got {motion!r}")
     out = np.zeros_like(t)
@@ -200,11 +196,8 @@ def truth_of(case: Case) -> dict:
 def rig_off(case: Case) -> list[dict]:
     """Return the rig numbers that the nominal config has wrong.
 
-    Returns
-    -------
-    list of dict
-        ``key`` of the config, ``true`` and ``configured`` value (SI), ``tolerances`` between
-        them, positive where the config says too much.
+    ``key`` of the config, ``true`` and ``configured`` value (SI), ``tolerances`` between them,
+    positive where the config says too much.
     """
     true, spreads, found = rig_of(case), TOLERANCES | case.tolerances, []
     for symbol, spread in spreads.items():
@@ -220,11 +213,9 @@ def rig_off(case: Case) -> list[dict]:
 def hidden_of(case: Case) -> list[Hidden]:
     """Return the effects of a case made concrete, in its order."""
     rig = rig_of(case)
-    needs = (*THRESHOLDED, "sticking_check_valve")
-    reach = Reach()
-    if any(name in needs for name, _ in case.effects):
-        reach = reach_of(replace(case, effects=tuple(
-            one for one in case.effects if one[0] not in needs)))
+    others = tuple(one for one in case.effects
+                   if one[0] not in (*THRESHOLDED, "sticking_check_valve"))
+    reach = reach_of(replace(case, effects=others)) if others != case.effects else Reach()
     return [ENTRIES[name](Context(strength, case.options.get(name, {}), rig, reach))
             for name, strength in case.effects]
 
@@ -283,9 +274,7 @@ def fine_run(case: Case, made: list[Hidden], substeps: int = SUBSTEPS,
 
     The step is a 20th of the sample time, or finer where a seal is stiff.
 
-    Parameters
-    ----------
-    noise : (n,) m, of the recorded position, which a digital drive reads with it.
+    ``noise`` : (n,) m, of the recorded position, which a digital drive reads with it.
     """
     constants, sensors = constants_of(case, made)
     mass = constants[NAMES.index("mass")]

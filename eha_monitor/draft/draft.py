@@ -55,14 +55,7 @@ class Lines:
 
 
 def draft_text(source: Source, found: Map, told: Lines, checks: list[str]) -> str:
-    """Return the config.
-
-    Parameters
-    ----------
-    source, found : the recording and its channels.
-    told : what is known of the rig.
-    checks : sentences of the plausibility checks that nothing was done about.
-    """
+    """Return the config; ``checks`` are sentences that nothing was done about."""
     lines = [f"# Drafted by eha_monitor {__version__} from {source.path.name}.",
              "# The comment behind each value gives its source; ASK marks missing values.",
              *(f"# {ASK}: {check}" for check in checks),

@@ -6,6 +6,7 @@ import numpy as np
 
 from eha_monitor.draft.sources import Candidate, Source
 from eha_monitor.draft.words import ANGLES, beside_chamber, plain, words_of
+from eha_monitor.errors import InputError
 from eha_monitor.settings.channels import CHANNELS
 
 # Quantity -> (largest absolute value below which, unit): what a rig shows, coarsest guess.
@@ -129,13 +130,7 @@ class Map:
 
 
 def guessed(source: Source, chosen: dict[str, str] | None = None) -> Map:
-    """Return which column is which channel.
-
-    Parameters
-    ----------
-    source : the recording.
-    chosen : channel or ``time`` -> column that somebody has named.
-    """
+    """Return which column is which channel; ``chosen``: channel or ``time`` -> column named."""
     chosen = chosen or {}
     named = {name: _named(source, column) for name, column in chosen.items()}
     left = [one for one in source.candidates if one not in named.values()]
@@ -181,8 +176,6 @@ def _machines(left: list[Candidate], x: Candidate | None) -> tuple[str, ...]:
 
 
 def _named(source: Source, column: str) -> Candidate:
-    from eha_monitor.errors import InputError
-
     for one in source.candidates:
         if column in (one.shown, one.place.get("column"), one.place.get("topic")):
             return one

@@ -214,9 +214,7 @@ def other_quantity(name: str, channel: str, unit: str, rotary: bool = False) -> 
 
     A share or counts are of anything.
 
-    Parameters
-    ----------
-    channel, unit : what the column is taken for, and in which unit; "": SI.
+    ``channel``, ``unit`` : what the column is taken for, and in which unit; "": SI.
     """
     _, said, kind = parted(name)
     if kind in ("", "share", "counts"):

@@ -158,9 +158,7 @@ def physics_object(platform: Platform) -> bytes:
 def shared_library(platform: Platform, folder: Path, sources: list[Path]) -> bytes:
     """Return the shared library of C files and the physics for a platform.
 
-    Parameters
-    ----------
-    folder : an empty one to work in.
+    ``folder`` : an empty one to work in.
 
     Raises
     ------

@@ -249,9 +249,7 @@ def _word(name: str) -> str:
 def feedforward_of(model: Model, joint: str, recordings: Sequence[Recording] = ()) -> Exported:
     """Return the table, and the one number of it that a controller of ros2_controllers takes.
 
-    Parameters
-    ----------
-    recordings : what the model was identified from: they tell which velocities are covered.
+    ``recordings`` : what the model was identified from: they tell which velocities are covered.
     """
     motion = motion_of(model)
     seen = [velocity_of(one) for one in recordings]

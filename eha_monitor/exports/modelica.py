@@ -152,9 +152,7 @@ def modelica_of(model: Model, units: Mapping[str, str]) -> Exported:
 
     What cannot be written as an equation is left out, told and named in a comment.
 
-    Parameters
-    ----------
-    units : unit of a linear rig -> that of this one.
+    ``units`` : unit of a linear rig -> that of this one.
 
     Raises
     ------

@@ -90,11 +90,8 @@ def wilson(share: np.ndarray | float, n: np.ndarray | int) -> tuple:
 def statement(of: str, said: object, right: bool | None) -> list[dict]:
     """Return a statement with its probability; none where either is missing.
 
-    Parameters
-    ----------
-    of : what is stated: an effect, a number of the rig, ``consistent`` or ``unexplained``.
-    said : its probability.
-    right : whether it is so; None where nobody knows.
+    ``of`` : an effect, a number of the rig, ``consistent`` or ``unexplained``;  ``right`` :
+    whether it is so, None where nobody knows.
     """
     if right is None or not isinstance(said, int | float) or not 0.0 <= said <= 1.0:
         return []
@@ -105,11 +102,8 @@ def statements_of(answer: dict, findings: Iterable[dict], paired: Sequence[str],
                   consistent: bool | None, unexplained: bool | None) -> list[dict]:
     """Return all statements of an answer.
 
-    Parameters
-    ----------
-    findings : what it says of rig numbers.
-    paired : names that stand for something that is there.
-    consistent, unexplained : whether these are so; None where nobody knows.
+    ``findings`` : what it says of rig numbers;  ``paired`` : names that stand for something that
+    is there;  ``consistent``, ``unexplained`` : whether these are so, None where nobody knows.
     """
     stated = answer.get("probability") or {}
     found = statement("consistent", stated.get("consistent"), consistent)
@@ -544,12 +538,9 @@ def confusion(rows: Sequence[dict]) -> dict[str, dict[str, int]]:
 def learned_row(truth: dict, answer: dict) -> dict | None:
     """Return how a learned term compares with what was concealed; None where that has a name.
 
-    Returns
-    -------
-    dict
-        ``told``, ``removed`` of the error on unseen data (0 without a term), ``errors`` relative
-        of B and beta_e, ``inside`` the share of the places at which the true curve is in the
-        band, ``shape`` whether the formula's is right; None where it does not apply.
+    ``told``, ``removed`` of the error on unseen data (0 without a term), ``errors`` relative of B
+    and beta_e, ``inside`` the share of the places at which the true curve is in the band,
+    ``shape`` whether the formula's is right; None where it does not apply.
     """
     outside = [one for one in truth["effects"] if not one["in_catalogue"]]
     if not outside:

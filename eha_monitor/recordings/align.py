@@ -240,9 +240,7 @@ def hold_of(values: np.ndarray) -> int:
     in a row.  It then changes by one step of its resolution; a change by more than that, always a
     few rows after the one before, is of a held value.
 
-    Parameters
-    ----------
-    values : (n,) one channel, NaN where missing.
+    ``values`` : (n,) one channel, NaN where missing.
     """
     steps = np.abs(np.diff(values))
     at = np.flatnonzero(steps > 0.0)

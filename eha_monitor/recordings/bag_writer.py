@@ -293,7 +293,7 @@ class BagWriter:
             digest = self._store.hash_rihs01(kind.msgtype)
         profiles = dump_qos_v9(offered_qos(kind.latched))
         # rosbags drops a topic whose QoS differs between file and metadata: one source for both.
-        qos = kind.qos or _yaml(profiles).strip()
+        qos = kind.qos or yaml_text(profiles).strip()
         if kind.msgtype not in self._schemas:
             self._schemas[kind.msgtype] = self._writer.register_schema(
                 kind.msgtype, kind.encoding, definition.encode())
@@ -340,7 +340,7 @@ class BagWriter:
             return
         try:
             metadata = self._metadata()
-            self._writer.add_metadata("rosbag2", {"serialized_metadata": _yaml(metadata)})
+            self._writer.add_metadata("rosbag2", {"serialized_metadata": yaml_text(metadata)})
             self._writer.finish()
             self._stream.flush()
             os.fsync(self._stream.fileno())
@@ -348,7 +348,7 @@ class BagWriter:
             self._stream = None
             if not self.single:
                 (self.temporary / "metadata.yaml").write_text(
-                    _yaml({"rosbag2_bagfile_information": metadata}), encoding="utf-8")
+                    yaml_text({"rosbag2_bagfile_information": metadata}), encoding="utf-8")
             self._take_the_name()
         except OSError as problem:
             raise InputError(f"{self.path}: cannot write bag: {problem.strerror}; what was "
@@ -421,7 +421,8 @@ class BagWriter:
             "custom_data": None, "ros_distro": self.distro}
 
 
-def _yaml(tree) -> str:
+def yaml_text(tree) -> str:
+    """Return plain data as YAML, without anchors."""
     from ruamel.yaml import YAML
 
     yaml, text = YAML(typ="safe"), StringIO()

@@ -30,11 +30,7 @@ def import_file(file: str | Path, map_file: str | Path, out: str | Path, *,
                 overwrite: bool = False) -> Recording:
     """Turn a CSV or MAT file into a bag.
 
-    Parameters
-    ----------
-    file : the table.
-    map_file : config with a ``table`` section; its rig gives the sample time.
-    out : the new bag, a folder or an .mcap file.
+    ``map_file`` : config with a ``table`` section; its rig gives the sample time.
 
     Raises
     ------
@@ -120,11 +116,7 @@ def _order_of_time(stamps: np.ndarray) -> tuple[np.ndarray, str]:
 
     Rows run backwards, are shuffled, or lie in blocks that were joined in the wrong order: then
     the times are those of one recording, and sorted they have no two rows closer than before.
-    Otherwise a clock jumped or jitters, and :func:`align` repairs it.
-
-    Parameters
-    ----------
-    stamps : (n,) int64 ns.
+    Otherwise a clock jumped or jitters, and :func:`align` repairs it.  ``stamps`` (n,) int64 ns.
     """
     own = np.arange(len(stamps))
     steps = np.diff(stamps)
@@ -158,11 +150,7 @@ LOOKED_AT = 200  # rows that tell the format
 def stamps_of(cells) -> np.ndarray:
     """Return (n,) datetime64[ns] in UTC of text cells, NaT where a cell is no such time.
 
-    Times of day count from 1970 on and go on over midnight.
-
-    Parameters
-    ----------
-    cells : pandas Series of n texts.
+    Times of day count from 1970 on and go on over midnight.  ``cells`` : Series of n texts.
     """
     import pandas
 

@@ -254,9 +254,7 @@ class Saver:
     def start(self, since_ns: int | None = None) -> None:
         """Begin to write all that the ring has; not while :attr:`busy`.
 
-        Parameters
-        ----------
-        since_ns : write only what came from this log time on; nothing is held for that.
+        ``since_ns`` : write only what came from this log time on; nothing is held for that.
         """
         whole = since_ns is None
         chunks = self.ring.hold() if whole else self.ring.since(since_ns)

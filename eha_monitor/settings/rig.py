@@ -188,9 +188,7 @@ def rounded(value: float) -> float:
 def corrected(rig: Rig, found: dict[str, float]) -> tuple[dict[str, float], dict[str, str]]:
     """Return what a rig must be changed in to have the found numbers.
 
-    Parameters
-    ----------
-    found : key of the rig -> number that a recording says, SI.
+    ``found`` : key of the rig -> number that a recording says, SI.
 
     Returns
     -------
