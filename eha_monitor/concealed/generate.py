@@ -152,7 +152,6 @@ def nominal_config(case: Case) -> dict:
 def write_case(case: Case, folder: str | Path) -> tuple[Path, Path]:
     """Write ``NAME`` (a bag) and ``NAME.yaml`` (the nominal config); returns the paths."""
     from eha_monitor.recordings.recording import Recording
-
     channels, _ = recording_of(case)
     return write_both(Path(folder), case.name, nominal_config(case),
                       Recording(SAMPLE_TIME, channels, start_ns=START_NS))
@@ -164,7 +163,6 @@ def write_both(folder: Path, name: str, config: dict, recording: "Recording") ->
     from eha_monitor.recordings.bag_writer import yaml_text
     from eha_monitor.recordings.write import write_recording
     from eha_monitor.settings.load import load_settings
-
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / f"{name}.yaml"
     write_text(path, yaml_text(config))

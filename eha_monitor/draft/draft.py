@@ -75,8 +75,9 @@ def draft_text(source: Source, found: Map, told: Lines, checks: list[str]) -> st
         lines += [_line(f"  {key}: {_scalar(value)}", "values: how the file is laid out")
                   for key, value in source.table.items()]
         lines += _time(found.time)
-        lines += ["  columns:"] if _readable(found) else [_line("  columns: {}", "no channel was "
-                                                                "found", True)]
+        readable = not all(guess.full for guess in found.channels.values())
+        lines += ["  columns:"] if readable else [
+            _line("  columns: {}", "no channel was found", True)]
     margin = "  " if source.bag else "    "
     for name, guess in found.channels.items():
         if guess.full:
@@ -85,7 +86,7 @@ def draft_text(source: Source, found: Map, told: Lines, checks: list[str]) -> st
             lines.append(f"{margin}# {ASK} {name}: {_in_kind(guess)}: how much is {all_}?  "
                          f"--set {name}.full={example}")
         else:
-            lines += _channel(name, guess, margin)
+            lines.append(_channel(name, guess, margin))
     if found.unused:
         names = ", ".join(dumps(one.shown, ensure_ascii=False) for one in found.unused)
         lines.append(f"{margin}# not used: {names}")
@@ -104,10 +105,6 @@ def _in_kind(guess: Guess) -> str:
     return f"'{guess.candidate.shown}' is in {kind}"
 
 
-def _readable(found: Map) -> list[str]:
-    return [name for name, guess in found.channels.items() if not guess.full]
-
-
 def _line(text: str, why: str, ask: bool = False) -> str:
     return f"{text:<{_COLUMN}}  # {f'{ASK}: ' if ask else ''}{why}"
 
@@ -123,14 +120,13 @@ def _time(time: Guess | None) -> list[str]:
     return lines
 
 
-def _channel(name: str, guess: Guess, margin: str) -> list[str]:
-    keys = dict(guess.candidate.place)
-    parts = [f"{key}: {_scalar(value)}" for key, value in keys.items()]
+def _channel(name: str, guess: Guess, margin: str) -> str:
+    parts = [f"{key}: {_scalar(value)}" for key, value in guess.candidate.place.items()]
     parts += [f"unit: {_scalar(guess.unit)}"] if guess.unit else []
-    parts += [f"scale: {number(guess.scale)}"] if guess.scale != 1.0 else []
-    parts += [f"offset: {number(guess.offset)}"] if guess.offset else []
-    parts += [f"delay: {number(guess.delay)}"] if guess.delay else []
-    return [_line(f"{margin}{name}: {{{', '.join(parts)}}}", guess.why)]
+    parts += [f"{key}: {number(value)}" for key, value, usual in (
+        ("scale", guess.scale, 1.0), ("offset", guess.offset, 0.0), ("delay", guess.delay, 0.0))
+        if value != usual]
+    return _line(f"{margin}{name}: {{{', '.join(parts)}}}", guess.why)
 
 
 def _scalar(value: str | int) -> str:

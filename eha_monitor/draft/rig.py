@@ -5,6 +5,7 @@ x), and the choices that are still to be made.
 """
 
 from dataclasses import dataclass, replace
+from json import dumps
 from math import degrees, pi, sin
 from typing import NamedTuple
 
@@ -102,8 +103,10 @@ def rig_entries(answers: Answers, seen: Seen, rotary: bool, name: str) -> list[E
     given = dict(answers.rig)
     rotary = answers.turns(rotary)
     area_1, area_2 = _areas(answers, rotary)
+    own = given.pop("name", name)
     entries = [
-        Entry("name", _text(given.pop("name", name)), "answered" if "name" in answers.rig else
+        Entry("name", own if own.isidentifier() else dumps(own, ensure_ascii=False),
+              "answered" if "name" in answers.rig else
               "from the file's name; --set name='Press 3' gives another"),
         Entry("motion", given.get("motion", "rotary" if rotary else "linear"),
               "answered" if "motion" in given else "header: units of the position"),
@@ -133,27 +136,17 @@ def _nothing(answers: Answers, key: str) -> Entry:
                  f"not used: the machine is answered as {answers.rig['machine']}")
 
 
-def _text(value: str) -> str:
-    from json import dumps
-
-    return value if value.isidentifier() else dumps(value, ensure_ascii=False)
-
-
 def _answered(answers: Answers, key: str) -> Entry:
     text = answers.rig[key]
-    plain = text.casefold()
-    if plain in ("null", "none", "-"):
+    if answers.none(key):
         return Entry(key, "null", "answered: none, or unknown")
     if key in FLOWS and flow_at(key, text):
         return Entry(key, number(answers.number(key)), f"answered: {text}; C_T is twice that")
     try:
         return Entry(key, number(float(text)), "answered")
     except ValueError:
-        return Entry(key, _quoted(text), "answered")
-
-
-def _quoted(text: str) -> str:
-    return text if all(c.isalnum() or c in " .^/_-+" for c in text) else f'"{text}"'
+        plain = all(c.isalnum() or c in " .^/_-+" for c in text)
+        return Entry(key, text if plain else f'"{text}"', "answered")
 
 
 def _areas(answers: Answers, rotary: bool) -> tuple[Entry, Entry]:
@@ -284,8 +277,8 @@ def seen_pump(answers: Answers, area: Entry, seen: Seen) -> str:
     own = value_of(area, answers)
     if not own or not seen.pump_over_area:
         return ""
-    return (f"; the recording shows about {abs(seen.pump_over_area) * own * 2 * pi * 1e6:.3g} "
-            "cm^3/rev")
+    size = abs(seen.pump_over_area) * own * 2 * pi * 1e6
+    return f"; the recording shows about {size:.3g} cm^3/rev"
 
 
 def _gain(answers: Answers, seen: Seen) -> Entry:

@@ -298,7 +298,6 @@ def velocity_of(recording: Recording) -> np.ndarray:
     if not recording.has("x"):
         return np.zeros(0)
     from scipy.signal import savgol_filter
-
     x = np.asarray(recording.channels["x"])
     half = max(2, round(0.5 * DERIVATIVE / recording.sample_time))
     if len(x) <= 2 * half:

@@ -267,8 +267,7 @@ def _add_effect(name: str, values: Mapping[str, float], adds: dict[str, list[str
     places = {p.name: f"{name}_{p.name}" for p in CATALOGUE[name].parameters} | {"self": name}
     for contribution, expression in one.adds.items():
         adds[contribution].append(expression.format(**places))
-    starts = {key.format(**places): begin for key, begin in one.variables.items()}
-    variables.update(starts)
+    variables |= {key.format(**places): begin for key, begin in one.variables.items()}
     equations += [line.format(**places) for line in one.equations]
 
 

@@ -34,7 +34,7 @@ from eha_monitor.mismatch.name.starts import (
     without_effect,
 )
 from eha_monitor.mismatch.show import held_out
-from eha_monitor.output import write_text
+from eha_monitor.output import finite, write_json
 from eha_monitor.physics import signals as s
 from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.physics.parameters import effect_values
@@ -284,15 +284,12 @@ def main(arguments: list[str]) -> None:
     """Answer for one case."""
     from eha_monitor.recordings.read import read_recording
     from eha_monitor.settings import load_settings
-
     key, case, bag, config, answer = arguments
     truth = next(one for one in json.loads(Path(key).read_text(encoding="utf-8"))["cases"]
                  if one["case"] == case)
     settings = load_settings(Path(config))
     found = oracle([read_recording(Path(bag), settings)], settings, truth)
-    text = json.dumps(found, indent=1)
-    write_text(Path(answer), text.replace("-Infinity", "null").replace("Infinity", "null")
-               .replace("NaN", "null") + "\n")
+    write_json(answer, finite(found))
 
 
 if __name__ == "__main__":

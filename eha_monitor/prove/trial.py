@@ -31,8 +31,7 @@ from eha_monitor.compiled import FIRST_RUN
 from eha_monitor.concealed.cases import CONFIG_KEYS, TOLERANCES, Case, truth_of
 from eha_monitor.concealed.draws import SETS, draw_cases, misconfigured
 from eha_monitor.errors import InputError
-from eha_monitor.output import source_digest as digest_of_source
-from eha_monitor.output import write_text
+from eha_monitor.output import source_digest, write_text
 from eha_monitor.progress import Report, silent
 from eha_monitor.prove import score
 from eha_monitor.settings.monitor import Settings
@@ -199,7 +198,6 @@ ROOMS = ("physics", "estimation", "balances", "mismatch", "recordings", "setting
 FEW = 4  # cases that are made without processes of their own
 
 
-
 @dataclass(frozen=True)
 class Question:
     """One process that answers, with what it is handed."""
@@ -306,8 +304,8 @@ def make(case: Case, work: Path, conceal: Callable[[Case, Path], dict] | None = 
     folder = work / "recordings"
     truth = (conceal or concealed)(case, folder)
     bag, config = folder / case.name, folder / f"{case.name}.yaml"
-    digests = {path.name: digest_of(path.read_bytes()) for path in sorted([*bag.iterdir(),
-                                                                           config])}
+    digests = {path.name: digest_of(path.read_bytes())
+               for path in sorted([*bag.iterdir(), config])}
     write_json(work / "key" / "made" / f"{case.name}.json",
                {**truth, "case": case.name, "recording_sha256": digests})
 
@@ -315,7 +313,6 @@ def make(case: Case, work: Path, conceal: Callable[[Case, Path], dict] | None = 
 def concealed(case: Case, folder: Path) -> dict:
     """Write a recording of the independent plant; returns its entry in the key."""
     from eha_monitor.concealed.generate import write_case
-
     write_case(case, folder)
     return {**truth_of(case), "motion": case.motion, "noise": case.noise,
             "channels": list(case.channels), "rig": case.rig, "nominal": case.nominal,
@@ -363,7 +360,7 @@ def answer(trial: Trial, say: Report, what: str = "diagnosing") -> None:
         return [*map(str, (trial.work, *bags, *unseen, config, answer, "--", *words))]
 
     ask(trial, tuple(questions), Questions("eha_monitor.prove.blind", trial.work / "answers",
-                                       source_digest(), arguments, what), say)
+                                       source_digest(ROOMS), arguments, what), say)
 
 
 def ask_oracle(trial: Trial, say: Report) -> None:
@@ -372,7 +369,7 @@ def ask_oracle(trial: Trial, say: Report) -> None:
         bag, config, answer = places(trial, name, "oracles")
         return [*map(str, (trial.work / "key" / "key.json", name, bag, config, answer))]
 
-    source = source_digest() + digest_of((PACKAGE / "prove" / "oracle.py").read_bytes())
+    source = source_digest(ROOMS) + digest_of((PACKAGE / "prove" / "oracle.py").read_bytes())
     names = tuple(case.name for case in trial.cases)
     ask(trial, names, Questions("eha_monitor.prove.oracle", trial.work / "oracles",
                             digest_of(source.encode())[:16], arguments, "asking the oracle"), say)
@@ -425,11 +422,6 @@ def result(trial: Trial, key: dict, sealed: str) -> dict:
 def jobs_of(trial: Trial) -> int:
     """Return how many processes run at a time: as many as there are cores, unless given."""
     return trial.jobs or len(os.sched_getaffinity(0))
-
-
-def source_digest() -> str:
-    """Return a digest of everything that has a part in an answer."""
-    return digest_of_source(ROOMS)
 
 
 def commit() -> str | None:

@@ -374,7 +374,6 @@ def _files_of(path: Path, losses: list[str]) -> tuple[list[Path], int | None]:
 def _metadata(path: Path, losses: list[str]) -> tuple[list[str], int | None]:
     from ruamel.yaml import YAML
     from ruamel.yaml.error import YAMLError
-
     check_regular(path, "the metadata.yaml of a bag")
     try:
         if path.stat().st_size > LARGEST_METADATA:

@@ -424,7 +424,6 @@ class BagWriter:
 def yaml_text(tree) -> str:
     """Return plain data as YAML, without anchors."""
     from ruamel.yaml import YAML
-
     yaml, text = YAML(typ="safe"), StringIO()
     yaml.default_flow_style = False
     yaml.representer.ignore_aliases = lambda data: True

@@ -43,7 +43,6 @@ def window_for(spread: float) -> int:
 def running_median(values: np.ndarray, width: int) -> np.ndarray:
     """Median over ``width`` neighbours, an odd number, mirrored at both ends; (n,)."""
     from scipy.ndimage import median_filter
-
     return median_filter(values, width, mode="reflect")
 
 

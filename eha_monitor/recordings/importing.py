@@ -153,7 +153,6 @@ def stamps_of(cells) -> np.ndarray:
     Times of day count from 1970 on and go on over midnight.  ``cells`` : Series of n texts.
     """
     import pandas
-
     text = cells.str.replace(",", ".", regex=False)
     some = text.iloc[:LOOKED_AT]
     for form in FORMATS:
@@ -343,7 +342,6 @@ def _mat(path: Path, wanted: list[str]) -> dict[str, np.ndarray]:
         raise InputError(f"{path}: the variables {', '.join(names)} hold {cells} numbers, "
                          f"expected at most {MOST_CELLS:.0e}")
     from scipy.io import loadmat
-
     there = _tried(path, lambda: loadmat(path, variable_names=names))
     found = {name: _column(path, name, np.asarray(there.get(match[1])), match[2])
              for name, match in parts.items()}
@@ -357,14 +355,12 @@ def _mat(path: Path, wanted: list[str]) -> dict[str, np.ndarray]:
 def variables_of(path: Path) -> dict[str, tuple[int, ...]]:
     """Return the variables of a MAT file with their shapes; their numbers are not read."""
     from scipy.io import whosmat
-
     return {name: shape for name, shape, _ in _tried(path, lambda: whosmat(path))}
 
 
 def _tried(path: Path, read: Callable):
     """Return what scipy reads, or say in one line that it is no MAT file that it can read."""
     from scipy.io.matlab import MatReadError
-
     try:
         return read()
     except NotImplementedError as problem:

@@ -95,7 +95,6 @@ def unit_of(text: str) -> Unit:
     if not text:
         return NO_UNIT
     import pint  # slow to import, and needed only where a map names units
-
     registry = pint.get_application_registry()
     if text.strip().casefold() in _SHARES:
         raise ValueError("per cent of full scale is not a unit: give the unit of the full scale, "
@@ -146,7 +145,6 @@ def check_unit(channel: str, unit: str, rotary: bool) -> None:
     if not unit:
         return
     import pint
-
     wanted, words = (ROTARY if rotary else LINEAR)[channel]
     try:
         found = unit_of(unit)

@@ -89,7 +89,6 @@ def text_tree(text: str, path: Path | str):
     """Return the tree of a YAML text; whatever the parser raises is one line with the file."""
     from ruamel.yaml import YAML  # YAML 1.2, where 6e8 is a number
     from ruamel.yaml.error import YAMLError
-
     try:
         return YAML(typ="safe").load(text)
     except Exception as problem:  # beside its own errors there were KeyError and AssertionError
