@@ -112,7 +112,9 @@ def rig_entries(answers: Answers, seen: Seen, rotary: bool, name: str) -> list[E
               "answered" if "motion" in given else "header: units of the position"),
         area_1, area_2, *_volumes(answers, seen, rotary, area_1, area_2),
         _told(answers, "mass", "moment of inertia", "3 kg m^2") if rotary else
-        _told(answers, "mass", "moving mass", "20 kg", _weightless(answers)),
+        _told(answers, "mass", "moving mass", "20 kg",
+              "; until told, the config has no load (gravity was answered)"
+              if answers.rig.get("load") == "gravity" else ""),
         _told(answers, "pump_displacement", "of the pump", "1.6 cm^3/rev", seen_pump(
             answers, area_1, seen)),
         _gain(answers, seen),
@@ -264,12 +266,6 @@ def _told(answers: Answers, key: str, words: str, example: str, hint: str = "") 
         return Entry(key, "null", f"{words}, such as {example}{hint}", True)
     return Entry(key, number(default), f"{words}, such as {example}; this is the {PAPER}{hint}",
                  True)
-
-
-def _weightless(answers: Answers) -> str:
-    """Return that a weight waits for its mass, in words, or ""."""
-    return ("; until told, the config has no load (gravity was answered)"
-            if answers.rig.get("load") == "gravity" else "")
 
 
 def seen_pump(answers: Answers, area: Entry, seen: Seen) -> str:

@@ -193,9 +193,11 @@ def _joint(template: str, model: Model, joint: str, law: Law, lost: tuple[str, .
     """Return a template filled with what all joints have, and with further facts."""
     unit = "N·m·s/rad and N·m" if model.rotary else "N·s/m and N"
     mass, inertia = law.inertia(model.rotary)
+    name = "".join(one if one.isalnum() or one in "_-" else "_"
+                   for one in model.settings.rig.name) or "eha"
     return Exported(rendered(
-        template, name=_word(model.settings.rig.name), joint=joint, rotary=model.rotary, mass=mass,
-        inertia=inertia, comments=(
+        template, name=name, joint=joint, rotary=model.rotary, mass=mass, inertia=inertia,
+        comments=(
             f"eha_monitor {__version__}, from {model.source}",
             f"damping and friction in {unit}; {model.provenance}",
             *(f"not in this file: {one}" for one in lost)), **facts), lost)
@@ -240,10 +242,6 @@ def _taken_at(model: Model, law: Law, held: tuple[str, ...] = ()) -> list[str]:
               for name in law.by_position if name not in held),
             *(f"{name}: taken at the charge pressure, {charge}"
               for name in law.names if "pressure" in name)]
-
-
-def _word(name: str) -> str:
-    return "".join(one if one.isalnum() or one in "_-" else "_" for one in name) or "eha"
 
 
 def feedforward_of(model: Model, joint: str, recordings: Sequence[Recording] = ()) -> Exported:

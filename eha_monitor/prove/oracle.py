@@ -195,18 +195,15 @@ def fit_of_truth(rig: RigNumbers, first: Fit, known: dict[str, dict], truth: dic
     for start in starts.values():
         start_fit = entered_at(start_fit, start)
     fit = rig.fitted(at_level(experiment, rig.beside(start_fit)))
-    if not known or not leaves(experiment, fit):
+    # Does it need more unknowns than every right one may, or can it not be followed?
+    if not known or (np.isfinite(fit.log_likelihood)
+                     and not needs(experiment, fit, experiment.policy.few)):
         return fit
     for name, start in starts.items():
         start_fit = looked(rig, without_effect(experiment, start_fit, name),
                        [start, *starts_of(name, experiment)])
     other = rig.fitted(at_level(experiment, rig.beside(start_fit)), aim=fit.log_likelihood)
     return max(fit, other, key=lambda one: one.log_likelihood)
-
-
-def leaves(experiment: Experiment, fit: Fit) -> bool:
-    """Tell whether a model needs more unknowns than every right one may, or cannot be followed."""
-    return not np.isfinite(fit.log_likelihood) or needs(experiment, fit, experiment.policy.few)
 
 
 def instead(rig: RigNumbers, after: Fit, name: str, other: str, without: Fit) -> Fit:

@@ -151,9 +151,9 @@ COMPRESSIONS = {"zstd": CompressionType.ZSTD, "lz4": CompressionType.LZ4,
                 "none": CompressionType.NONE}
 
 
-def offered_qos(latched: bool = False, depth: int = 10) -> list[Qos]:
+def offered_qos(latched: bool) -> list[Qos]:
     """Return the QoS that a recorded topic declares: reliable, transient local if latched."""
-    return [Qos(QosHistory.KEEP_LAST, depth, QosReliability.RELIABLE,
+    return [Qos(QosHistory.KEEP_LAST, 10, QosReliability.RELIABLE,
                 QosDurability.TRANSIENT_LOCAL if latched else QosDurability.VOLATILE,
                 FOREVER, FOREVER, QosLiveliness.AUTOMATIC, FOREVER, False)]
 
@@ -234,8 +234,8 @@ class BagWriter:
     """
 
     def __init__(self, path: str | Path, topics: dict[str, str | TopicType], *,
-                 compression: str = "zstd", overwrite: bool = False, distro: str = "jazzy"):
-        self.path, self.overwrite, self.distro = Path(path), overwrite, distro
+                 compression: str = "zstd", overwrite: bool = False):
+        self.path, self.overwrite = Path(path), overwrite
         if self.path.name in ("", ".."):  # a name of its own, to be renamed to
             self.path = Path(os.path.abspath(path))
         if compression not in COMPRESSIONS:
@@ -418,7 +418,7 @@ class BagWriter:
             "relative_file_paths": [name],
             "files": [{"path": name, "starting_time": start, "duration": duration,
                        "message_count": count}],
-            "custom_data": None, "ros_distro": self.distro}
+            "custom_data": None, "ros_distro": "jazzy"}
 
 
 def yaml_text(tree) -> str:

@@ -93,10 +93,10 @@ def _map_of(values) -> mmap.mmap | None:
     return base if isinstance(base, mmap.mmap) else None
 
 
-def pieces(rows: int, size: int | None = None, first: int = 0) -> Iterator[tuple[int, int]]:
+def pieces(rows: int, size: int | None = None) -> Iterator[tuple[int, int]]:
     """Yield first and behind-last row of each piece; of one piece where the rows are few."""
-    size = size or (rows - first if rows <= IN_MEMORY else PIECE)
-    for start in range(first, rows, max(size, 1)):
+    size = size or (rows if rows <= IN_MEMORY else PIECE)
+    for start in range(0, rows, max(size, 1)):
         yield start, min(start + size, rows)
 
 

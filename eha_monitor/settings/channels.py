@@ -27,6 +27,7 @@ _MEANING = {"x": ("m", "piston position"), "v": ("m/s", "piston velocity"),
 CHANNELS = tuple(_MEANING)
 CHANNEL_WORDS = {name: words.partition(",")[0] for name, (_, words) in _MEANING.items()}
 CHANNEL_UNITS = {name: unit for name, (unit, _) in _MEANING.items()}
+CHANNEL_ABOUT = {name: f"[{unit}] {words}" for name, (unit, words) in _MEANING.items()}
 
 # Spellings of headers and data sheets, in several languages, for pint.  "1/min" of a shaft are
 # revolutions, which pint would take for radians.
@@ -215,12 +216,6 @@ class Table(Section):
     time_scale: Si("s", "seconds per unit of the time column", gt=0) = 1.0
     columns: dict[Literal[CHANNELS], Column] = Field(
         {}, description="channel <- column, by channel")
-
-
-def channel_about(name: str) -> str:
-    """Return unit and meaning of a channel, ``[Pa] pressure of chamber 1, absolute ...``."""
-    unit, words = _MEANING[name]
-    return f"[{unit}] {words}"
 
 
 class Channel(Section, Measured):

@@ -5,11 +5,11 @@ from typing import Annotated, Literal
 from pydantic import BeforeValidator, Field, create_model, model_validator
 
 from eha_monitor.settings.channels import (
+    CHANNEL_ABOUT,
     CHANNELS,
     DEFAULT_CHANNELS,
     Channel,
     Table,
-    channel_about,
     check_unit,
     fill_channels,
 )
@@ -290,8 +290,7 @@ class Settings(Section):
                                       "their defaults, but for name and field of another "
                                       "JointState topic; v and force have none where x is "
                                       "another entry than the default's; null: there is none",
-        json_schema_extra={
-            "entries": {name: channel_about(name) for name in CHANNELS}})
+        json_schema_extra={"entries": CHANNEL_ABOUT})
     table: Table = Field(Table(), description="column of a CSV or MAT file for each channel, for "
                                               "import")
     noise: NoiseLevels = Field(NoiseLevels(), description="noise levels for the filters")

@@ -133,10 +133,6 @@ def slot_for(entry: dict) -> np.ndarray:
     return q
 
 
-def _superscript(unit: str) -> str:
-    return unit.replace("^2", "²").replace("^3", "³").replace("*", "·")
-
-
 def effects_field(value):
     """Check the ``effects`` section against the catalogue and return {effect: {name: value}}.
 
@@ -177,7 +173,7 @@ def effects_field(value):
             if (raw is None and p.default is None and some_size) or raw == math.inf == p.neutral:
                 raw = min(p.neutral, p.upper)  # a limit that is not there: its upper bound
             try:
-                number = to_si(raw, _superscript(p.unit))
+                number = to_si(raw, p.unit.replace("^2", "²").replace("^3", "³").replace("*", "·"))
             except PydanticCustomError as problem:
                 raise ValueError(f"{name}.{p.name}: {problem}") from problem
             if not isinstance(number, (int, float)) or not p.lower <= number <= p.upper:
