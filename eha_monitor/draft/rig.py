@@ -474,12 +474,11 @@ def _parts(answers: Answers, charge: float | None) -> list[Entry]:
                            f"{number(answers.number('relief_pressure'))}}}",
                            f"answered: {answers.rig['relief_valve']} beyond "
                            f"{answers.rig['relief_pressure']} between the chambers"))
-    if told("friction"):
-        found.append(Entry("coulomb_friction", f"{{F_c: {number(answers.number('friction'))}}}",
-                           f"answered: {answers.rig['friction']}"))
-    if told("drive_lag"):
-        found.append(Entry("drive_lag", f"{{tau: {number(answers.number('drive_lag'))}}}",
-                           f"answered: {answers.rig['drive_lag']}"))
+    for key, effect, symbol in (("friction", "coulomb_friction", "F_c"),
+                                ("drive_lag", "drive_lag", "tau")):
+        if told(key):
+            found.append(Entry(effect, f"{{{symbol}: {number(answers.number(key))}}}",
+                               f"answered: {answers.rig[key]}"))
     return found
 
 

@@ -24,7 +24,7 @@ from eha_monitor.mismatch.likelihood.fit import Fit, Free, remade, spread, with_
 from eha_monitor.mismatch.name.columns import columns_at, effects_of, rig_free
 from eha_monitor.mismatch.name.nominal import nominal
 from eha_monitor.mismatch.name.polish import ROUGHLY, Slopes, polished
-from eha_monitor.mismatch.name.refit import ROUGH_STEPS, at_level, settled, wide
+from eha_monitor.mismatch.name.refit import ROUGH_STEPS, at_level, wide
 from eha_monitor.mismatch.name.starts import (
     Start,
     needs,
@@ -221,11 +221,6 @@ def instead(rig: RigNumbers, after: Fit, name: str, other: str, without: Fit) ->
     return rig.fitted(rig.beside(looked(rig, start_fit, starts)), aim=after.log_likelihood)
 
 
-def best_of(experiment: Experiment, fit: Fit, name: str) -> Fit:
-    """Return a fit with one more effect, the best over its starts."""
-    return refitted(experiment, looked(RigNumbers(experiment), fit, starts_of(name, experiment)))
-
-
 def looked(rig: RigNumbers, fit: Fit, starts: Sequence[Start]) -> Fit:
     """Return a fit with an effect at the best of its starts, after a few steps from each.
 
@@ -244,11 +239,6 @@ def without_numbers(fit: Fit) -> Fit:
     """Return a fit with the rig's numbers held where they are."""
     free = tuple(f for f in fit.free if not f.of_rig)
     return replace(fit, free=free, covariance=np.zeros((len(free),) * 2))
-
-
-def refitted(experiment: Experiment, fit: Fit) -> Fit:
-    """Return a fit carried to its optimum, from gains that suit where it begins."""
-    return settled(experiment, with_unknowns(experiment, fit))
 
 
 def entered_at(fit: Fit, start: Start) -> Fit:

@@ -7,6 +7,7 @@ import math
 import re
 import zlib
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -155,17 +156,14 @@ def stamps_of(cells) -> np.ndarray:
     import pandas
     text = cells.str.replace(",", ".", regex=False)
     some = text.iloc[:LOOKED_AT]
+    read = partial(pandas.to_datetime, errors="coerce", utc=True)
     for form in FORMATS:
-        if _read(pandas, some, form).notna().mean() <= MOST:
+        if read(some, format=form).notna().mean() <= MOST:
             continue
-        found = _read(pandas, text, form)
+        found = read(text, format=form)
         stamps = found.dt.tz_localize(None).to_numpy(dtype="datetime64[ns]")
         return _days(stamps) if form.startswith("%H") else stamps
     return np.full(len(cells), np.datetime64("NaT"), dtype="datetime64[ns]")
-
-
-def _read(pandas, text, form: str):
-    return pandas.to_datetime(text, format=form, errors="coerce", utc=True)
 
 
 def _days(stamps: np.ndarray) -> np.ndarray:

@@ -98,12 +98,10 @@ def _table(name: str, given: dict) -> dict:
         if key not in given:
             raise ValueError(f"{name}.{key}: expected this key of a table, or an expression")
     times = given.get("times", "none")
-    if given["of"] not in o.OF:
-        raise ValueError(f"{name}.of: expected one of {', '.join(o.OF)}, "
-                         f"got {str(given['of'])[:40]!r}")
-    if times not in o.FACTORS:
-        raise ValueError(f"{name}.times: expected one of {', '.join(o.FACTORS)}, "
-                         f"got {str(times)[:40]!r}")
+    for key, value, known in (("of", given["of"], o.OF), ("times", times, o.FACTORS)):
+        if value not in known:
+            raise ValueError(f"{name}.{key}: expected one of {', '.join(known)}, "
+                             f"got {str(value)[:40]!r}")
     first, last, scale = (_number(name, key, given.get(key, 1.0))
                           for key in ("first", "last", "scale"))
     if not last > first:
