@@ -8,9 +8,11 @@ from eha_monitor.concealed.generate import nominal_config, recording_of
 from eha_monitor.mismatch.data.experiment import Experiment, experiment_of
 from eha_monitor.mismatch.diagnose import diagnose
 from eha_monitor.mismatch.diagnosis import Diagnosis
-from eha_monitor.mismatch.likelihood.fit import Fit
+from eha_monitor.mismatch.likelihood.fit import Fit, with_unknowns
 from eha_monitor.mismatch.name.nominal import nominal
-from eha_monitor.prove.oracle import best_of
+from eha_monitor.mismatch.name.refit import settled
+from eha_monitor.mismatch.name.starts import starts_of
+from eha_monitor.prove.oracle import RigNumbers, looked
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings import Settings
 from eha_monitor.settings.load import settings_from_tree
@@ -63,5 +65,6 @@ def fitted(*effects: str, motion: str = "short", told: bool = True, seed: int = 
     experiment, before = nominal(experiment_of([recording], settings))
     after = before
     for name in effects if told else ():
-        after = best_of(experiment, after, name)
+        after = looked(RigNumbers(experiment), after, starts_of(name, experiment))
+        after = settled(experiment, with_unknowns(experiment, after))
     return Fitted(recording, experiment, before, after)

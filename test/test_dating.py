@@ -6,7 +6,7 @@ from bag_tools import START, joint, number, write_mcap
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from eha_monitor.recordings.dating import Dating, beside
+from eha_monitor.recordings.align import Dating, beside
 from eha_monitor.recordings.read import read_recording
 from eha_monitor.settings import settings_from_tree
 

@@ -5,8 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from eha_monitor.recordings.align import align
-from eha_monitor.recordings.between import fresh_rows, hold_of, released
+from eha_monitor.recordings.align import align, fresh_rows, hold_of, released
 from eha_monitor.recordings.cdr import Series
 from eha_monitor.settings import Settings
 

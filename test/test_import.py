@@ -10,8 +10,9 @@ from hypothesis import strategies as st
 from scipy.io import savemat
 
 from eha_monitor.errors import InputError
-from eha_monitor.recordings.importing import import_file, import_table, read_table
+from eha_monitor.recordings.importing import import_file, read_table
 from eha_monitor.recordings.read import read_recording
+from eha_monitor.recordings.write import write_recording
 from eha_monitor.settings import load_settings, settings_from_tree
 
 ROOT = Path(__file__).parent.parent
@@ -235,12 +236,13 @@ def test_bad_map(tmp_path, text, expected):
 def test_bag_of_an_import(tmp_path):
     path = tmp_path / "a.csv"
     path.write_text(text_of())
-    recording = import_table(path, BY_NAME, tmp_path / "bag")
+    recording = read_table(path, BY_NAME)
+    write_recording(tmp_path / "bag", recording, BY_NAME)
     again = read_recording(tmp_path / "bag", BY_NAME)
     for name, values in recording.channels.items():
         np.testing.assert_array_equal(again.channels[name], values)
     with pytest.raises(InputError, match="exists already"):
-        import_table(path, BY_NAME, tmp_path / "bag")
+        write_recording(tmp_path / "bag", recording, BY_NAME)
 
 
 def test_overwrite_replaces_a_bag_only_and_asks_before_the_work(tmp_path):

@@ -286,8 +286,7 @@ def test_a_mat_file_without_names(tmp_path, capsys):
 
 
 def entries(*answers, span=None):
-    from eha_monitor.draft.effects import effects_of
-    from eha_monitor.draft.rig import Seen, rig_entries, tolerances
+    from eha_monitor.draft.rig import Seen, effects_of, rig_entries, tolerances
 
     said, seen = answers_of(answers), Seen(1e-3, span=span)
     rig = rig_entries(said, seen, False, "a")

@@ -43,8 +43,7 @@ def steps(t: np.ndarray, duration: float, amplitude: float, each: float, rng) ->
     """Return steps to random places on alternate sides, the last back to 0; m."""
     count = round(duration / each)
     sides = np.where(np.arange(count - 1) % 2 == 0, 1.0, -1.0)
-    places = np.concatenate(
-        [[0.0], amplitude * sides * rng.uniform(0.3, 1.0, count - 1), [0.0]])
+    places = np.concatenate([[0.0], amplitude * sides * rng.uniform(0.3, 1.0, count - 1), [0.0]])
     corners = np.arange(count) * each
     at = np.column_stack([corners, corners + RAMP]).ravel()
     return np.interp(t, at, np.column_stack([places[:-1], places[1:]]).ravel())
@@ -71,19 +70,15 @@ def demanded_position(motion: str, t: np.ndarray, seed: int = 0, scale: float = 
     rng = np.random.default_rng([seed, 77])
     tones, places = rng.spawn(2)
     if motion == "rich":
-        parts = (
-            (8.0, lambda u: triangle(u, 4.0, 0.04)),
-            (4.0, lambda u: triangle(u, 4.0, 0.008)),
-            (8.0, lambda u: multisine(u, 8.0, 0.036, tones)),
-            (4.0, lambda u: steps(u, 4.0, 0.008, 0.4, places)),
-        )
+        parts = ((8.0, lambda u: triangle(u, 4.0, 0.04)),
+                 (4.0, lambda u: triangle(u, 4.0, 0.008)),
+                 (8.0, lambda u: multisine(u, 8.0, 0.036, tones)),
+                 (4.0, lambda u: steps(u, 4.0, 0.008, 0.4, places)))
     elif motion == "short":
-        parts = (
-            (2.0, lambda u: triangle(u, 2.0, 0.02)),
-            (1.0, lambda u: triangle(u, 1.0, 0.002)),
-            (2.0, lambda u: multisine(u, 2.0, 0.036, tones)),
-            (1.0, lambda u: steps(u, 1.0, 0.008, 0.2, places)),
-        )
+        parts = ((2.0, lambda u: triangle(u, 2.0, 0.02)),
+                 (1.0, lambda u: triangle(u, 1.0, 0.002)),
+                 (2.0, lambda u: multisine(u, 2.0, 0.036, tones)),
+                 (1.0, lambda u: steps(u, 1.0, 0.008, 0.2, places)))
     else:
         raise ValueError(f"motion: expected {', '.join(LENGTHS)}, got {motion!r}")
     out = np.zeros_like(t)
@@ -127,43 +122,29 @@ _BALANCES = {name: balance for table in (CATALOGUE_BALANCES, OUTSIDE_BALANCES)
 
 @dataclass(frozen=True)
 class Case:
-    """One recording to be made.
-
-    Attributes
-    ----------
-    name : of the case.
-    effects : (name, strength) pairs; 1 is clear, negative turns the sign where there is one.
-    motion : ``rich`` (24 s), ``short`` (6 s), ``triangle`` (the paper's, 24 s), ``two_speed``
-        (24 s) or ``sine`` (8 s).
-    seed : of noise, clock and the random parts of the motion.
-    noise : factor on the sensors' noise.
-    channels : what is recorded.
-    rig : constants of the true rig that differ from the paper's, by symbol, e.g. ``B``; also
-        ``amplitude``, the factor on the motion.
-    nominal : constants that the nominal config gets in place of the true design values; B and
-        beta_e are the paper's there unless named here.
-    tolerances : standard deviations of the logarithm that differ from ``TOLERANCES``, by symbol.
-    options : effect -> parameters of its key to set outright, e.g. ``{"pressure_offset":
-        {"sensor": "p2"}}``.
-    nuisance : factor on sensor lag, clock jitter and encoder step.
-    drive : ``analogue``; ``digital``: it reads the recorded position with its noise and holds the
-        speed that it computes until the next sample; ``digital_own``: it reads a sensor of its
-        own, without noise.
-    demand : (n,) x_d in m, one value to a sample, in place of the motion.
-    """
+    """One recording to be made."""
 
     name: str
+    # Name, strength: 1 is clear, negative turns the sign.
     effects: tuple[tuple[str, float], ...] = ()
-    motion: str = "rich"
-    seed: int = 0
-    noise: float = 1.0
-    channels: tuple[str, ...] = ("x", "x_d", "omega", "p1", "p2")
+    motion: str = "rich"  # a key of LENGTHS
+    seed: int = 0  # of noise, clock and the random parts of the motion
+    noise: float = 1.0  # factor on the sensors' noise
+    channels: tuple[str, ...] = ("x", "x_d", "omega", "p1", "p2")  # what is recorded
+    # Constants of the true rig that differ from the paper's, by symbol, e.g. ``B``; also
+    # ``amplitude``, the factor on the motion.
     rig: dict = field(default_factory=dict)
+    # Constants that the nominal config gets in place of the true design values; B and beta_e are
+    # the paper's there unless named here.
     nominal: dict = field(default_factory=dict)
-    tolerances: dict = field(default_factory=dict)
+    tolerances: dict = field(default_factory=dict)  # that differ from TOLERANCES, by symbol
+    # Effect -> parameters of its key to set outright: {"pressure_offset": {"sensor": "p2"}}.
     options: dict = field(default_factory=dict)
-    nuisance: float = 1.0
+    nuisance: float = 1.0  # factor on sensor lag, clock jitter and encoder step
+    # ``digital``: it reads the recorded position with its noise and holds the speed that it
+    # computes until the next sample; ``digital_own``: it reads a sensor of its own, without noise.
     drive: str = "analogue"
+    # (n,) x_d in m, one value to a sample, in place of the motion.
     demand: np.ndarray | None = field(default=None, compare=False, repr=False)
 
     def __post_init__(self):
@@ -215,11 +196,8 @@ def truth_of(case: Case) -> dict:
 def rig_off(case: Case) -> list[dict]:
     """Return the rig numbers that the nominal config has wrong.
 
-    Returns
-    -------
-    list of dict
-        ``key`` of the config, ``true`` and ``configured`` value (SI), ``tolerances`` between
-        them, positive where the config says too much.
+    ``key`` of the config, ``true`` and ``configured`` value (SI), ``tolerances`` between them,
+    positive where the config says too much.
     """
     true, spreads, found = rig_of(case), TOLERANCES | case.tolerances, []
     for symbol, spread in spreads.items():
@@ -235,11 +213,9 @@ def rig_off(case: Case) -> list[dict]:
 def hidden_of(case: Case) -> list[Hidden]:
     """Return the effects of a case made concrete, in its order."""
     rig = rig_of(case)
-    needs = (*THRESHOLDED, "sticking_check_valve")
-    reach = Reach()
-    if any(name in needs for name, _ in case.effects):
-        reach = reach_of(replace(case, effects=tuple(
-            one for one in case.effects if one[0] not in needs)))
+    others = tuple(one for one in case.effects
+                   if one[0] not in (*THRESHOLDED, "sticking_check_valve"))
+    reach = reach_of(replace(case, effects=others)) if others != case.effects else Reach()
     return [ENTRIES[name](Context(strength, case.options.get(name, {}), rig, reach))
             for name, strength in case.effects]
 
@@ -289,8 +265,7 @@ def demand_of(case: Case, time: np.ndarray) -> np.ndarray:
     """Return x_d in m at any times, s since the recording's start."""
     if case.demand is not None:
         return np.interp(time, np.arange(len(case.demand)) * SAMPLE_TIME, case.demand)
-    return demanded_position(case.motion, time, case.seed,
-                             float(case.rig.get("amplitude", 1.0)))
+    return demanded_position(case.motion, time, case.seed, float(case.rig.get("amplitude", 1.0)))
 
 
 def fine_run(case: Case, made: list[Hidden], substeps: int = SUBSTEPS,
@@ -299,9 +274,7 @@ def fine_run(case: Case, made: list[Hidden], substeps: int = SUBSTEPS,
 
     The step is a 20th of the sample time, or finer where a seal is stiff.
 
-    Parameters
-    ----------
-    noise : (n,) m, of the recorded position, which a digital drive reads with it.
+    ``noise`` : (n,) m, of the recorded position, which a digital drive reads with it.
     """
     constants, sensors = constants_of(case, made)
     mass = constants[NAMES.index("mass")]

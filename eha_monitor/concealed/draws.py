@@ -69,30 +69,22 @@ def draw_rig(rng: np.random.Generator) -> dict[str, float]:
 def draw_cases(n: int, seed: int, *, rig: str = "mixed", sets: dict = SETS) -> list[Case]:
     """Draw ``n`` cases; the same seed gives the same cases, and fewer are a head of more.
 
-    Whatever ``rig`` is, effects, motions and true rigs of a seed are the same.
-
-    Parameters
-    ----------
-    n : how many.
-    seed : of everything.
-    rig : what the nominal configs say of it, one of :data:`KINDS`.
-    sets : effects in a case -> share of the cases.
+    Whatever ``rig`` is (what the nominal configs say of it, one of :data:`KINDS`), effects,
+    motions and true rigs of a seed are the same.  ``sets`` : effects in a case -> its share.
     """
     cases = [replace(_draw(f"c{i + 1:03d}", np.random.default_rng([seed, i]), sets),
-                     drive=_drive(np.random.default_rng([seed, i, 9]))) for i in range(n)]
+                     drive=_chosen(np.random.default_rng([seed, i, 9]), DRIVE_SHARES))
+             for i in range(n)]
     return misconfigured(cases, seed, rig)
 
 
-def _drive(rng: np.random.Generator) -> str:
-    return str(rng.choice(list(DRIVE_SHARES), p=list(DRIVE_SHARES.values())))
+def _chosen(rng: np.random.Generator, shares: dict):
+    """Return one of some kinds, each at its share."""
+    return list(shares)[rng.choice(len(shares), p=list(shares.values()))]
 
 
 def _draw(name: str, rng: np.random.Generator, sets: dict) -> Case:
-    kinds = list(sets)
-    count = kinds[rng.choice(len(kinds), p=list(sets.values()))]
-    motion = str(rng.choice(list(MOTIONS), p=list(MOTIONS.values())))
-    layouts = list(CHANNELS)
-    channels = layouts[rng.choice(len(layouts), p=list(CHANNELS.values()))]
+    count, motion, channels = (_chosen(rng, shares) for shares in (sets, MOTIONS, CHANNELS))
     noise = float(rng.choice([1.0, 3.0, 10.0], p=[0.8, 0.1, 0.1]))
     rig = {} if rng.random() < PAPER_RIG else draw_rig(rng)
     names = ([str(rng.choice(outside_names()))] if count == "outside"
@@ -126,12 +118,9 @@ def draw_names(count: int, rng: np.random.Generator) -> list[str]:
 def misconfigured(cases: Iterable[Case], seed: int, kind: str = "mixed") -> list[Case]:
     """Return the cases with the nominal configs of a kind; the i-th depends on seed and i only.
 
-    Parameters
-    ----------
-    cases : whose nominal configs have the true numbers.
-    seed : of the draws.
-    kind : ``exact``; ``within``: each number off by a normal draw of one tolerance; ``beyond``:
-        one number off by 3 to 10 tolerances, the others exact; ``mixed``: each at its share.
+    ``exact``: they say the true numbers, as those of ``cases``; ``within``: each number is off by
+    a normal draw of one tolerance; ``beyond``: one number is off by 3 to 10 tolerances, the others
+    are exact; ``mixed``: each at its share.
     """
     if kind not in KINDS:
         raise ValueError(f"no kind {kind!r} of rig numbers, expected one of {', '.join(KINDS)}")
@@ -139,7 +128,7 @@ def misconfigured(cases: Iterable[Case], seed: int, kind: str = "mixed") -> list
 
 
 def _one(case: Case, rng: np.random.Generator, kind: str) -> Case:
-    drawn = str(rng.choice(list(SHARES), p=list(SHARES.values())))
+    drawn = _chosen(rng, SHARES)
     kind = drawn if kind == "mixed" else kind
     if kind == "exact":
         return case

@@ -6,8 +6,7 @@ a few us, an encoder step below its noise.
 """
 
 import math
-from dataclasses import dataclass
-from io import StringIO
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -80,8 +79,7 @@ def measure(fine: np.ndarray, fine_time: np.ndarray, time: np.ndarray, sensors: 
 
     behind = X_SENSED if faults.get("behind_play") else X
     x = sampled(behind, sensors.position_lag, faults.get("position_delay", 0.0))
-    x = x * (1.0 + faults.get("position_scale", 0.0))
-    x = x + drawn["x"]
+    x = x * (1.0 + faults.get("position_scale", 0.0)) + drawn["x"]
     step = max(faults.get("resolution", 0.0), sensors.encoder_step)
     speed = (fine[np.searchsorted(fine_time, time - 0.5 * h), OMEGA] if jumps
              else sampled(OMEGA, sensors.speed_lag))
@@ -107,12 +105,9 @@ def noise_of(case: Case) -> dict[str, np.ndarray]:
 
 def sensors_of(case: Case) -> Sensors:
     """Return the healthy sensors of a case."""
-    plain, factor = Sensors(), case.nuisance
-    return Sensors(encoder_step=plain.encoder_step * factor,
-                   clock_jitter=plain.clock_jitter * factor,
-                   position_lag=plain.position_lag * factor,
-                   pressure_lag=plain.pressure_lag * factor,
-                   speed_lag=plain.speed_lag * factor)
+    plain = Sensors()
+    return replace(plain, **{name: getattr(plain, name) * case.nuisance for name in (
+        "encoder_step", "clock_jitter", "position_lag", "pressure_lag", "speed_lag")})
 
 
 def recording_of(case: Case) -> tuple[dict[str, np.ndarray], np.ndarray]:
@@ -137,15 +132,11 @@ def nominal_config(case: Case) -> dict:
     nominal = {key: true[place] for key, (place, _) in RIG.items()}
     nominal |= {"B": RIG["B"][1], "beta_e": RIG["beta_e"][1], **case.nominal}
     levels = Sensors()
-    noise = {
-        "position": levels.position_noise * case.noise,
-        "pressure": levels.pressure_noise * case.noise,
-        "pump_speed": levels.speed_noise * case.noise,
-    }
-    rig = {
-        "name": case.name, "sample_time": SAMPLE_TIME,
-        **{key: nominal[symbol] for symbol, keys in CONFIG_KEYS.items() for key in keys},
-    }
+    noise = {"position": levels.position_noise * case.noise,
+             "pressure": levels.pressure_noise * case.noise,
+             "pump_speed": levels.speed_noise * case.noise}
+    rig = {"name": case.name, "sample_time": SAMPLE_TIME, **{
+        key: nominal[symbol] for symbol, keys in CONFIG_KEYS.items() for key in keys}}
     if case.tolerances:  # a leakage's is a factor, the others' are relative
         rig["tolerance"] = {
             key: math.exp(spread) if symbol in ("C_T", "G") else spread
@@ -159,32 +150,20 @@ def nominal_config(case: Case) -> dict:
 
 
 def write_case(case: Case, folder: str | Path) -> tuple[Path, Path]:
-    """Write ``NAME`` (a bag) and ``NAME.yaml`` (the nominal config) into ``folder``.
-
-    Returns
-    -------
-    bag, config : paths of the two.
-    """
+    """Write ``NAME`` (a bag) and ``NAME.yaml`` (the nominal config); returns the paths."""
     from eha_monitor.recordings.recording import Recording
-
     channels, _ = recording_of(case)
     return write_both(Path(folder), case.name, nominal_config(case),
                       Recording(SAMPLE_TIME, channels, start_ns=START_NS))
 
 
-def write_both(folder: Path, name: str, config: dict, recording: "Recording"
-               ) -> tuple[Path, Path]:
+def write_both(folder: Path, name: str, config: dict, recording: "Recording") -> tuple[Path, Path]:
     """Write a recording as the bag ``name`` and its config as ``name.yaml``; returns the paths."""
-    from ruamel.yaml import YAML
-
     from eha_monitor.output import write_text
+    from eha_monitor.recordings.bag_writer import yaml_text
     from eha_monitor.recordings.write import write_recording
     from eha_monitor.settings.load import load_settings
-
     folder.mkdir(parents=True, exist_ok=True)
-    text, yaml = StringIO(), YAML(typ="safe")
-    yaml.default_flow_style = False
-    yaml.dump(config, text)
     path = folder / f"{name}.yaml"
-    write_text(path, text.getvalue())
+    write_text(path, yaml_text(config))
     return write_recording(folder / name, recording, load_settings(path), overwrite=True), path

@@ -30,7 +30,6 @@ SHEET = {"bore": ("m", "bore of the cylinder"), "rod": ("m", "diameter of the ro
 # Answered as a flow at a pressure, as data sheets and test stands have it.
 FLOWS = ("check_valve", "relief_valve", "leakage")
 SIGNED = {"inclination": 0.5001 * pi, "spring_rest": 10.0}  # largest, either sign
-SUCH_AS = {"inclination": "20 deg", "spring_rest": "40 mm"}
 # Smallest and largest of any actuator that turns or travels, SI, beside those of the config's own
 # keys, and how a person writes one: what lies outside has lost its unit.
 _POSSIBLE = {"bore": (1e-3, 2.0), "rod": (1e-3, 2.0), "stroke": (1e-4, 50.0),
@@ -44,7 +43,8 @@ _SUCH_AS = {"bore": "40 mm", "rod": "25 mm", "stroke": "200 mm", "line_volume": 
             "leakage": "0.15 l/min at 100 bar", "check_valve": "9 l/min at 0.5 bar",
             "relief_valve": "20 l/min at 10 bar", "check_valve_opens": "0.3 bar",
             "relief_pressure": "180 bar", "friction": "120 N", "drive_lag": "2 ms",
-            "makeup_conductance": "1e-13", "spring": "8000 N/m", "sample_time": "1 ms"}
+            "makeup_conductance": "1e-13", "spring": "8000 N/m", "sample_time": "1 ms",
+            "inclination": "20 deg", "spring_rest": "40 mm"}
 # Questions with a few answers; the config's numbers, effects and units follow from them.
 CHOICES = {
     "machine": ("double_rod", "two_pumps", "accumulator", "valve", "force"),
@@ -69,16 +69,10 @@ _FULL = re.compile(r"^(?:(?P<raw>[-+\d.e]+)\s*=\s*)?(?P<value>[-+\d.]+(?:e[-+]?\
 
 @dataclass(frozen=True)
 class Answers:
-    """What was answered.
+    """What was answered."""
 
-    Attributes
-    ----------
-    rig : key of ``rig`` or of a data sheet -> text as given.
-    channels : channel or ``time`` -> key -> text.
-    """
-
-    rig: dict[str, str]
-    channels: dict[str, dict[str, str]]
+    rig: dict[str, str]  # key of ``rig`` or of a data sheet -> text as given
+    channels: dict[str, dict[str, str]]  # channel or ``time`` -> key -> text
 
     def number(self, key: str) -> float | None:
         """Return an answer in SI, or None where there is none, or where it is ``null``."""
@@ -184,7 +178,7 @@ def checked(key: str, text: str, unit: str = "") -> float | None:
     if key in SIGNED and not unit:
         if not abs(number) <= SIGNED[key]:
             raise InputError(f"--set {key}: expected {words}, at most {SIGNED[key]:.3g} {si}, "
-                             f"such as '{SUCH_AS[key]}', got '{text}'")
+                             f"such as '{_SUCH_AS[key]}', got '{text}'")
     elif not unit and not number >= 0:
         raise InputError(f"--set {key}: expected at least 0 {si}, got '{text}'")
     possible = None if unit else _POSSIBLE.get(key) or (

@@ -8,11 +8,11 @@ import numpy as np
 
 from eha_monitor import __version__
 from eha_monitor.draft.answers import Answers, checked, full_scale
-from eha_monitor.draft.effects import effects_of
 from eha_monitor.draft.guess import Guess, Map, guessed
 from eha_monitor.draft.rig import (
     Entry,
     Seen,
+    effects_of,
     number,
     open_choices,
     rig_entries,
@@ -55,14 +55,7 @@ class Lines:
 
 
 def draft_text(source: Source, found: Map, told: Lines, checks: list[str]) -> str:
-    """Return the config.
-
-    Parameters
-    ----------
-    source, found : the recording and its channels.
-    told : what is known of the rig.
-    checks : sentences of the plausibility checks that nothing was done about.
-    """
+    """Return the config; ``checks`` are sentences that nothing was done about."""
     lines = [f"# Drafted by eha_monitor {__version__} from {source.path.name}.",
              "# The comment behind each value gives its source; ASK marks missing values.",
              *(f"# {ASK}: {check}" for check in checks),
@@ -82,8 +75,9 @@ def draft_text(source: Source, found: Map, told: Lines, checks: list[str]) -> st
         lines += [_line(f"  {key}: {_scalar(value)}", "values: how the file is laid out")
                   for key, value in source.table.items()]
         lines += _time(found.time)
-        lines += ["  columns:"] if _readable(found) else [_line("  columns: {}", "no channel was "
-                                                                "found", True)]
+        readable = not all(guess.full for guess in found.channels.values())
+        lines += ["  columns:"] if readable else [
+            _line("  columns: {}", "no channel was found", True)]
     margin = "  " if source.bag else "    "
     for name, guess in found.channels.items():
         if guess.full:
@@ -92,7 +86,7 @@ def draft_text(source: Source, found: Map, told: Lines, checks: list[str]) -> st
             lines.append(f"{margin}# {ASK} {name}: {_in_kind(guess)}: how much is {all_}?  "
                          f"--set {name}.full={example}")
         else:
-            lines += _channel(name, guess, margin)
+            lines.append(_channel(name, guess, margin))
     if found.unused:
         names = ", ".join(dumps(one.shown, ensure_ascii=False) for one in found.unused)
         lines.append(f"{margin}# not used: {names}")
@@ -111,10 +105,6 @@ def _in_kind(guess: Guess) -> str:
     return f"'{guess.candidate.shown}' is in {kind}"
 
 
-def _readable(found: Map) -> list[str]:
-    return [name for name, guess in found.channels.items() if not guess.full]
-
-
 def _line(text: str, why: str, ask: bool = False) -> str:
     return f"{text:<{_COLUMN}}  # {f'{ASK}: ' if ask else ''}{why}"
 
@@ -130,14 +120,13 @@ def _time(time: Guess | None) -> list[str]:
     return lines
 
 
-def _channel(name: str, guess: Guess, margin: str) -> list[str]:
-    keys = dict(guess.candidate.place)
-    parts = [f"{key}: {_scalar(value)}" for key, value in keys.items()]
+def _channel(name: str, guess: Guess, margin: str) -> str:
+    parts = [f"{key}: {_scalar(value)}" for key, value in guess.candidate.place.items()]
     parts += [f"unit: {_scalar(guess.unit)}"] if guess.unit else []
-    parts += [f"scale: {number(guess.scale)}"] if guess.scale != 1.0 else []
-    parts += [f"offset: {number(guess.offset)}"] if guess.offset else []
-    parts += [f"delay: {number(guess.delay)}"] if guess.delay else []
-    return [_line(f"{margin}{name}: {{{', '.join(parts)}}}", guess.why)]
+    parts += [f"{key}: {number(value)}" for key, value, usual in (
+        ("scale", guess.scale, 1.0), ("offset", guess.offset, 0.0), ("delay", guess.delay, 0.0))
+        if value != usual]
+    return _line(f"{margin}{name}: {{{', '.join(parts)}}}", guess.why)
 
 
 def _scalar(value: str | int) -> str:
@@ -153,24 +142,16 @@ ROUNDS = 4  # a swap may hide a unit, and that a sign
 
 @dataclass(frozen=True)
 class Draft:
-    """A config in the making.
+    """A config in the making."""
 
-    Attributes
-    ----------
-    text : the config as YAML.
-    settings, recording : as the config reads the file; None where it cannot be read yet.
-    asked : keys that nobody has told yet, with the words of the question.
-    judged : what the checks say in the end.
-    problem : why the file cannot be read yet, or "".
-    """
-
-    text: str
+    text: str  # the config as YAML
     map: Map
     settings: Settings
-    recording: Recording | None
+    recording: Recording | None  # as the config reads the file; None where it cannot yet
+    # Keys that nobody has told yet, with the words of the question.
     asked: tuple[tuple[str, str], ...]
-    judged: Plausibility
-    problem: str = ""
+    judged: Plausibility  # what the checks say in the end
+    problem: str = ""  # why the file cannot be read yet
 
 
 def drafted(source: Source, answers: Answers) -> Draft:
@@ -188,8 +169,7 @@ def drafted(source: Source, answers: Answers) -> Draft:
     for _ in range(ROUNDS):
         settings, text, lines, recording, problem = _read(source, found, answers, checks, step)
         if recording is None:
-            return Draft(text, found, settings, None, _open(found, lines), Plausibility(),
-                         problem)
+            return Draft(text, found, settings, None, _open(found, lines), Plausibility(), problem)
         step = recording.sample_time
         told = _told_alone(settings, lines.rig)
         better, checks = mended(found, plausibility_of(recording, told).findings, told)

@@ -6,6 +6,7 @@ import numpy as np
 
 from eha_monitor.draft.sources import Candidate, Source
 from eha_monitor.draft.words import ANGLES, beside_chamber, plain, words_of
+from eha_monitor.errors import InputError
 from eha_monitor.settings.channels import CHANNELS
 
 # Quantity -> (largest absolute value below which, unit): what a rig shows, coarsest guess.
@@ -98,38 +99,29 @@ _UNITS_OF = {"x": "position", "x_d": "position", "v": "velocity", "omega": "turn
 
 @dataclass(frozen=True)
 class Guess:
-    """A channel of the draft.
-
-    Attributes
-    ----------
-    unit, scale, offset, delay : as the map takes them; ``unit`` is of the time ``1 ms`` and so on.
-    why : where column and unit come from, as the end of a line.
-    sure : the header names the unit, or somebody has answered: values do not overrule it.
-    full : ``share`` or ``counts`` where nothing can be read before somebody says how much is all.
-    """
+    """A channel of the draft; unit, scale, offset and delay as the map takes them."""
 
     candidate: Candidate
-    unit: str
-    why: str
+    unit: str  # of the time ``1 ms`` and so on
+    why: str  # where column and unit come from, as the end of a line
     scale: float = 1.0
     offset: float = 0.0
+    # The header names the unit, or somebody answered: values do not overrule it.
     sure: bool = False
-    full: str = ""
+    full: str = ""  # ``share`` or ``counts`` where somebody has to say first how much is all
     delay: float = 0.0
 
 
 @dataclass(frozen=True)
 class Map:
-    """What was guessed: the time, the channels, what nobody uses.
-
-    ``machines`` are the first words of the columns where these part several machines, that of
-    ``x`` first; empty where the file is of one machine, or somebody has named the column of x.
-    """
+    """What was guessed: the time, the channels, what nobody uses."""
 
     time: Guess | None
     channels: dict[str, Guess]
     unused: tuple[Candidate, ...]
     rotary: bool = False
+    # The first words of the columns where these part several machines, that of ``x`` first; empty
+    # where the file is of one machine, or somebody has named the column of x.
     machines: tuple[str, ...] = ()
 
     def with_channel(self, name: str, guess: Guess) -> "Map":
@@ -138,13 +130,7 @@ class Map:
 
 
 def guessed(source: Source, chosen: dict[str, str] | None = None) -> Map:
-    """Return which column is which channel.
-
-    Parameters
-    ----------
-    source : the recording.
-    chosen : channel or ``time`` -> column that somebody has named.
-    """
+    """Return which column is which channel; ``chosen``: channel or ``time`` -> column named."""
     chosen = chosen or {}
     named = {name: _named(source, column) for name, column in chosen.items()}
     left = [one for one in source.candidates if one not in named.values()]
@@ -156,8 +142,7 @@ def guessed(source: Source, chosen: dict[str, str] | None = None) -> Map:
         if channel not in found and one not in named.values():
             found[channel] = (one, why)
     taken = [entry[0] if isinstance(entry, tuple) else entry for entry in found.values()]
-    rotary = any(map(_turns, taken)) and not any(
-        one.header.kind == "position" for one in taken)
+    rotary = any(map(_turns, taken)) and not any(one.header.kind == "position" for one in taken)
     channels = {}
     for channel, entry in sorted(found.items(), key=lambda one: CHANNELS.index(one[0])):
         one, why = entry if isinstance(entry, tuple) else (entry, "answered")
@@ -191,8 +176,6 @@ def _machines(left: list[Candidate], x: Candidate | None) -> tuple[str, ...]:
 
 
 def _named(source: Source, column: str) -> Candidate:
-    from eha_monitor.errors import InputError
-
     for one in source.candidates:
         if column in (one.shown, one.place.get("column"), one.place.get("topic")):
             return one

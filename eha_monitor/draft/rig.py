@@ -1,10 +1,12 @@
 """The rig of a draft: what was answered (``--set``), what follows, what the recording shows.
 
-Its numbers, their tolerances, and the choices that are still to be made.
+Its numbers, their tolerances, its effects (load, valves, friction, drive, volumes that change with
+x), and the choices that are still to be made.
 """
 
 from dataclasses import dataclass, replace
-from math import degrees, pi
+from json import dumps
+from math import degrees, pi, sin
 from typing import NamedTuple
 
 import numpy as np
@@ -61,51 +63,32 @@ PARTS = {
 
 @dataclass(frozen=True)
 class Entry:
-    """One line of the draft.
-
-    Attributes
-    ----------
-    key, value, why : what, as YAML, and where it comes from.
-    ask : whether it is open.
-    off : relative error of what the recording itself shows; 0 where only the source counts.
-    """
+    """One line of the draft."""
 
     key: str
-    value: str
-    why: str
-    ask: bool = False
-    off: float = 0.0
+    value: str  # as YAML
+    why: str  # where it comes from
+    ask: bool = False  # whether it is open
+    off: float = 0.0  # relative error of what the recording shows; 0 where only the source counts
 
 
 class Gain(NamedTuple):
-    """A gain of the position loop that a recording shows.
+    """A gain of the position loop that a recording shows."""
 
-    K_pos : rad/(s·m); ``explains`` the share of the speed's variance, beside a feed-forward of the
-        demand's rate, ``fed``, rad/m, where that is much of it.
-    """
-
-    K_pos: float
-    explains: float
-    fed: float = 0.0
+    K_pos: float  # rad/(s·m)
+    explains: float  # share of the speed's variance, beside a feed-forward of the demand's rate
+    fed: float = 0.0  # that feed-forward, where it is much of it, rad/m
 
 
 @dataclass(frozen=True)
 class Seen:
-    """What the recording itself shows of the rig; None where it does not.
-
-    Attributes
-    ----------
-    sample_time : s.
-    charge : Pa, the mean of both pressures.
-    pump_over_area : m of travel per rad of the pump, D_p/A.
-    span : m, the lowest and the highest position.
-    """
+    """What the recording itself shows of the rig, SI; None where it does not."""
 
     sample_time: float
     gain: Gain | None = None
-    charge: float | None = None
-    pump_over_area: float | None = None
-    span: tuple[float, float] | None = None
+    charge: float | None = None  # the mean of both pressures
+    pump_over_area: float | None = None  # m of travel per rad of the pump, D_p/A
+    span: tuple[float, float] | None = None  # the lowest and the highest position
 
 
 def number(value: float) -> str:
@@ -120,14 +103,18 @@ def rig_entries(answers: Answers, seen: Seen, rotary: bool, name: str) -> list[E
     given = dict(answers.rig)
     rotary = answers.turns(rotary)
     area_1, area_2 = _areas(answers, rotary)
+    own = given.pop("name", name)
     entries = [
-        Entry("name", _text(given.pop("name", name)), "answered" if "name" in answers.rig else
+        Entry("name", own if own.isidentifier() else dumps(own, ensure_ascii=False),
+              "answered" if "name" in answers.rig else
               "from the file's name; --set name='Press 3' gives another"),
         Entry("motion", given.get("motion", "rotary" if rotary else "linear"),
               "answered" if "motion" in given else "header: units of the position"),
         area_1, area_2, *_volumes(answers, seen, rotary, area_1, area_2),
         _told(answers, "mass", "moment of inertia", "3 kg m^2") if rotary else
-        _told(answers, "mass", "moving mass", "20 kg", _weightless(answers)),
+        _told(answers, "mass", "moving mass", "20 kg",
+              "; until told, the config has no load (gravity was answered)"
+              if answers.rig.get("load") == "gravity" else ""),
         _told(answers, "pump_displacement", "of the pump", "1.6 cm^3/rev", seen_pump(
             answers, area_1, seen)),
         _gain(answers, seen),
@@ -151,27 +138,17 @@ def _nothing(answers: Answers, key: str) -> Entry:
                  f"not used: the machine is answered as {answers.rig['machine']}")
 
 
-def _text(value: str) -> str:
-    from json import dumps
-
-    return value if value.isidentifier() else dumps(value, ensure_ascii=False)
-
-
 def _answered(answers: Answers, key: str) -> Entry:
     text = answers.rig[key]
-    plain = text.casefold()
-    if plain in ("null", "none", "-"):
+    if answers.none(key):
         return Entry(key, "null", "answered: none, or unknown")
     if key in FLOWS and flow_at(key, text):
         return Entry(key, number(answers.number(key)), f"answered: {text}; C_T is twice that")
     try:
         return Entry(key, number(float(text)), "answered")
     except ValueError:
-        return Entry(key, _quoted(text), "answered")
-
-
-def _quoted(text: str) -> str:
-    return text if all(c.isalnum() or c in " .^/_-+" for c in text) else f'"{text}"'
+        plain = all(c.isalnum() or c in " .^/_-+" for c in text)
+        return Entry(key, text if plain else f'"{text}"', "answered")
 
 
 def _areas(answers: Answers, rotary: bool) -> tuple[Entry, Entry]:
@@ -253,10 +230,9 @@ def no_such_zero(answers: Answers, seen: Seen, rotary: bool = False) -> str:
         return ""
     low, high = (degrees(one) if rotary else 1e3 * one for one in seen.span)
     unit = "deg" if rotary else "mm"
-    return (f"x runs from {low:.4g} to {high:.4g} {unit}, beyond the "
-            f"ends of a stroke of {answers.rig['stroke']} with x = 0 at {_WORDS[zero]}; is the "
-            f"stroke right?  What does x read in the middle of the stroke?  --set zero='100 "
-            f"{unit}'")
+    return (f"x runs from {low:.4g} to {high:.4g} {unit}, beyond the ends of a stroke of "
+            f"{answers.rig['stroke']} with x = 0 at {_WORDS[zero]}; is the stroke right?  What "
+            f"does x read in the middle of the stroke?  --set zero='100 {unit}'")
 
 
 def _volumes(answers: Answers, seen: Seen, rotary: bool, *areas: Entry) -> list[Entry]:
@@ -292,19 +268,13 @@ def _told(answers: Answers, key: str, words: str, example: str, hint: str = "") 
                  True)
 
 
-def _weightless(answers: Answers) -> str:
-    """Return that a weight waits for its mass, in words, or ""."""
-    return ("; until told, the config has no load (gravity was answered)"
-            if answers.rig.get("load") == "gravity" else "")
-
-
 def seen_pump(answers: Answers, area: Entry, seen: Seen) -> str:
     """Return what the recording suggests for the pump, in words, or ""."""
     own = value_of(area, answers)
     if not own or not seen.pump_over_area:
         return ""
-    return (f"; the recording shows about {abs(seen.pump_over_area) * own * 2 * pi * 1e6:.3g} "
-            "cm^3/rev")
+    size = abs(seen.pump_over_area) * own * 2 * pi * 1e6
+    return f"; the recording shows about {size:.3g} cm^3/rev"
 
 
 def _gain(answers: Answers, seen: Seen) -> Entry:
@@ -403,6 +373,113 @@ def open_choices(answers: Answers, entries: list[Entry], seen: Seen, gauge_known
     if outside and answers.rig.get("zero") in _SHARES:
         raise InputError(f"--set zero={answers.rig['zero']}: {outside}")
     return [*(one for one in found if one[0] != "zero"), ("zero", outside)] if outside else found
+
+
+GRAVITY = 9.81  # m/s²
+
+
+def effects_of(answers: Answers, entries: list[Entry], seen: Seen) -> list[Entry]:
+    """Return the lines of ``effects``: load, valves, friction, drive, volumes that change with x.
+
+    F = A1 p1 - A2 p2 is of absolute pressures, so what the open air does to the rod's own end,
+    p_a (A1 - A2) against growing x, is a load, whatever zero the sensors have.
+
+    Raises
+    ------
+    InputError
+        If the load is one that a rotary actuator has not, or valves or volumes contradict
+        themselves.
+    """
+    turns = any(entry.key == "motion" and entry.value == "rotary" for entry in entries)
+    if turns and answers.rig.get("load") == "gravity":
+        raise InputError("--set load=gravity: expected none, spring or unknown of a rotary "
+                         "actuator, since the torque of a weight changes with the angle; unknown "
+                         "lets diagnose identify it")
+    found, of = [], {entry.key: value_of(entry, answers) for entry in entries
+                     if entry.key in ("area_1", "area_2", "volume_1", "volume_2", "mass")}
+    load, slope, spring = (answers.rig.get("load"), answers.number("inclination"),
+                           answers.number("spring"))
+    weight = (of["mass"] * GRAVITY * sin(slope)
+              if load == "gravity" and slope is not None and "mass" in answers.rig else 0.0)
+    air = 0.0 if turns else _open_air(answers, of["area_1"], of["area_2"])
+    if weight or air:
+        words = [f"weight of the mass at {answers.rig['inclination']}"] if weight else []
+        words += [f"what the open air does to the rod's end, p_a (A1 - A2) = {air:.4g} N"
+                  ] if air else []
+        found.append(Entry("constant_load", f"{{F_0: {number(weight + air)}}}",
+                           f"answered: {' and '.join(words)}, N against growing x"))
+    if load == "spring" and spring:
+        rest = (answers.number("spring_rest") or 0.0) - (
+            (answers.middle() or 0.0) if "spring_rest" in answers.rig else 0.0)
+        found.append(Entry("spring_load", f"{{k: {number(spring)}, x_0: {number(rest)}}}",
+                           f"answered: {answers.rig['spring']}, relaxed at "
+                           f"{answers.rig.get('spring_rest', 'x = 0')}"))
+    charge = next(entry for entry in entries if entry.key == "charge_pressure")
+    found += _parts(answers, None if charge.ask else value_of(charge, answers))
+    zero, who = zero_of(answers, seen)
+    shrinking = of["volume_1" if zero == "extended" else "volume_2"]
+    if zero != "middle" and shrinking and of["area_1"] and not answers.lacks("volume_1"):
+        reach = max(map(abs, seen.span)) if seen.span else answers.number("stroke") or 1.0
+        ratio = (of["area_2"] or of["area_1"]) / of["area_1"]
+        shrinks = 1.0 if zero == "extended" else ratio  # of A_v, how fast that chamber does
+        taken, key = of["area_1"] * shrinks * reach, "volume_1" if zero == "extended" else (
+            "volume_2")
+        if seen.span and key in answers.rig and shrinking < taken:
+            raise InputError(
+                f"--set {key}={answers.rig[key]}: expected more than the "
+                f"{quantity(taken, 'm³', 3)} that the piston takes of it up to x = "
+                f"{quantity(reach, 'm', 3)}; volumes are those at x = 0: are volume_1 and "
+                "volume_2 exchanged, or does x = 0 lie elsewhere?")
+        slope = min(of["area_1"], 0.98 * shrinking / (reach * shrinks))  # some oil is left
+        own = "" if ratio == 1.0 else f", r: {number(ratio)}"
+        found.append(Entry("position_dependent_volume", f"{{A_v: {number(slope)}{own}}}",
+                           f"{who}: x = 0 is at an end; the volumes above hold there and change "
+                           "with x"))
+    return found
+
+
+def _open_air(answers: Answers, area_1: float | None, area_2: float | None) -> float:
+    """Return p_a (A1 - A2), N; nothing where an area is not known."""
+    if not area_1 or not area_2:
+        return 0.0
+    ambient = answers.number("ambient_pressure")
+    return (Rig.model_fields["ambient_pressure"].default if ambient is None else ambient) * (
+        area_1 - area_2)
+
+
+def _parts(answers: Answers, charge: float | None) -> list[Entry]:
+    """Return the valves, dry friction and lag of the drive that a data sheet has.
+
+    ``charge`` : pressure of the make-up source, Pa; None where nobody knows it.
+    """
+    found = []
+
+    def told(key: str) -> bool:
+        return key in answers.rig and not answers.none(key)
+
+    if told("check_valve") and charge is not None:
+        opens = answers.number("check_valve_opens") or 0.0
+        flow, drop = flow_at("check_valve", answers.rig["check_valve"])
+        if not drop > opens:
+            raise InputError(f"--set check_valve={answers.rig['check_valve']}: expected more than "
+                             "the pressure at which it opens, check_valve_opens="
+                             f"'{answers.rig['check_valve_opens']}'")
+        k, low = number(flow / (drop - opens)), number(charge - opens)
+        found.append(Entry("anti_cavitation", f"{{k: {k}, p_min: {low}}}",
+                           f"answered: check valves, {answers.rig['check_valve']}, open "
+                           f"{answers.rig.get('check_valve_opens', '0 bar')} below the charge "
+                           "pressure"))
+    if told("relief_valve") and told("relief_pressure"):
+        found.append(Entry("relief_valve", f"{{k: {number(answers.number('relief_valve'))}, p_c: "
+                           f"{number(answers.number('relief_pressure'))}}}",
+                           f"answered: {answers.rig['relief_valve']} beyond "
+                           f"{answers.rig['relief_pressure']} between the chambers"))
+    for key, effect, symbol in (("friction", "coulomb_friction", "F_c"),
+                                ("drive_lag", "drive_lag", "tau")):
+        if told(key):
+            found.append(Entry(effect, f"{{{symbol}: {number(answers.number(key))}}}",
+                               f"answered: {answers.rig[key]}"))
+    return found
 
 
 def seen_in(recording) -> Seen:

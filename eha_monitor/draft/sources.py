@@ -13,7 +13,7 @@ import numpy as np
 
 from eha_monitor.draft.words import Header, kind_of, read
 from eha_monitor.errors import InputError
-from eha_monitor.recordings.tables import (
+from eha_monitor.recordings.importing import (
     encoding_of,
     first_lines,
     parted_cells,
@@ -32,21 +32,13 @@ _STAMP = re.compile(r"^[\d./:TZ+ ,-]*\d[:./-]\d[\d./:TZ+ ,-]*$")
 
 @dataclass(frozen=True)
 class Layout:
-    """How a CSV is laid out.
+    """How a CSV is laid out."""
 
-    Attributes
-    ----------
-    delimiter : as ``table.delimiter`` takes it.
-    skip_rows : lines above the names, or above the numbers where there are no names.
-    named : whether the reader finds the names in the first line behind these.
-    names, units : of the columns; units are "" where no row holds them.
-    """
-
-    delimiter: str
-    skip_rows: int
-    named: bool
+    delimiter: str  # as ``table.delimiter`` takes it
+    skip_rows: int  # lines above the names, or above the numbers where there are no names
+    named: bool  # whether the reader finds the names in the first line behind these
     names: tuple[str, ...]
-    units: tuple[str, ...]
+    units: tuple[str, ...]  # "" where no row holds them
 
 
 def layout_of(path: Path) -> Layout:
@@ -121,20 +113,12 @@ DATES = 3  # columns without numbers that may be dates
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """A column that may be a channel.
+    """A column that may be a channel."""
 
-    Attributes
-    ----------
-    place : keys of the map that name it: ``column``, or ``topic``, ``name`` and ``field``.
-    shown : as people know it.
-    header : what its name says.
-    values : (n,) float64, or datetime64[ns] of dates; as recorded.
-    """
-
-    place: dict[str, str]
-    shown: str
-    header: Header
-    values: np.ndarray
+    place: dict[str, str]  # keys of the map that name it: column, or topic, name and field
+    shown: str  # as people know it
+    header: Header  # what its name says
+    values: np.ndarray  # (n,) float64, or datetime64[ns] of dates; as recorded
 
 
 @dataclass(frozen=True)

@@ -72,22 +72,13 @@ _AFTER = re.compile(r"(?:\s+in\s+|\s*/\s*|,\s*)([^\s/,]{1,6}(?:/[^\s/,]{1,4})?)$
 
 @dataclass(frozen=True)
 class Header:
-    """What a header says of its column.
+    """What a header says of its column."""
 
-    Attributes
-    ----------
-    unit : as a map takes it, or ""; of a time ``ms`` and so on.
-    kind : quantity that the unit is of, ``share`` or ``counts``; "" without a unit.
-    quantity : quantity of unit and words together; "" where nothing tells.
-    demand : it is what was asked for, not what was measured.
-    chamber : 1 or 2 of a pressure, 0 where it is not said, -1 where it is another pressure.
-    """
-
-    unit: str
-    kind: str
-    quantity: str
-    demand: bool
-    chamber: int
+    unit: str  # as a map takes it, or ""; of a time ``ms`` and so on
+    kind: str  # quantity that the unit is of, ``share`` or ``counts``; "" without a unit
+    quantity: str  # of unit and words together; "" where nothing tells
+    demand: bool  # it is what was asked for, not what was measured
+    chamber: int  # of a pressure 1 or 2, 0 where it is not said, -1 where it is another pressure
 
 
 def plain(text: str) -> str:
@@ -223,9 +214,7 @@ def other_quantity(name: str, channel: str, unit: str, rotary: bool = False) -> 
 
     A share or counts are of anything.
 
-    Parameters
-    ----------
-    channel, unit : what the column is taken for, and in which unit; "": SI.
+    ``channel``, ``unit`` : what the column is taken for, and in which unit; "": SI.
     """
     _, said, kind = parted(name)
     if kind in ("", "share", "counts"):

@@ -35,7 +35,7 @@ from eha_monitor.exports.model import (
     plain,
     rendered,
 )
-from eha_monitor.output import source_digest, write_text
+from eha_monitor.output import source_digest, write_bytes, write_text
 from eha_monitor.physics import contributions, plant, signals
 from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.physics.parameters import BASE_KEYS, place_of, theta_of
@@ -78,8 +78,7 @@ def platforms_for(wanted: tuple[str, ...]) -> tuple[Platform, ...]:
             raise InputError(MISSING)
         other = [folder for folder in wanted if folder != PLATFORMS[0].folder]
         if other:
-            raise InputError(f"--fmu-platform {other[0]}: needs ziglang; "
-                             + installs("export"))
+            raise InputError(f"--fmu-platform {other[0]}: needs ziglang; " + installs("export"))
         return PLATFORMS[:1]
     return tuple(known[folder] for folder in dict.fromkeys(wanted)) or PLATFORMS
 
@@ -135,12 +134,9 @@ def physics_object(platform: Platform) -> bytes:
     mangled = head.removeprefix("; ")
     module = llvm.parse_assembly(text.replace(f'@"{mangled}"', f"@{NAME}").replace(
         f"@{mangled}(", f"@{NAME}("))
-    for function in module.functions:
-        if not function.is_declaration and function.name != NAME:
-            function.linkage = "internal"
-    for variable in module.global_variables:
-        if not variable.is_declaration:
-            variable.linkage = "internal"
+    for one in (*module.functions, *module.global_variables):
+        if not one.is_declaration and one.name != NAME:
+            one.linkage = "internal"
     module.triple = platform.triple
     machine = llvm.Target.from_triple(platform.triple).create_target_machine(
         opt=2, reloc="pic", codemodel="default")
@@ -150,18 +146,14 @@ def physics_object(platform: Platform) -> bytes:
     passes.run(module, llvm.create_pass_builder(
         machine, llvm.create_pipeline_tuning_options(speed_level=0)))
     content = machine.emit_object(module)
-    fresh = kept.with_name(f".{kept.name}.{os.getpid()}.tmp")
-    fresh.write_bytes(content)
-    fresh.replace(kept)
+    write_bytes(kept, content)
     return content
 
 
 def shared_library(platform: Platform, folder: Path, sources: list[Path]) -> bytes:
     """Return the shared library of C files and the physics for a platform.
 
-    Parameters
-    ----------
-    folder : an empty one to work in.
+    ``folder`` : an empty one to work in.
 
     Raises
     ------
@@ -195,19 +187,16 @@ VR_X_START, VR_CLOSED, VR_OUTPUT, VR_PARAMETER = 10, 11, 100, 1000
 
 @dataclass(frozen=True)
 class Variable:
-    """A parameter: its name in the FMU, place in theta, unit, start, range, and if it may change.
-
-    ``tunable`` : may be set while the simulation runs; another only before it.
-    """
+    """A parameter of the FMU."""
 
     name: str
-    place: int
+    place: int  # in theta
     unit: str
     description: str
     start: float
     lower: float | None
     upper: float | None
-    tunable: bool
+    tunable: bool  # may be set while the simulation runs; another only before it
 
 
 def parameters_of(model: Model, theta: np.ndarray) -> list[Variable]:
@@ -313,8 +302,7 @@ def fmu_of(model: Model, units: Mapping[str, str], wanted: tuple[str, ...] = ())
         here = Path(folder)
         (here / "model.h").write_text(header(settings.rig.position_gain is not None, guid, h,
                                              start, theta, active, parameters), encoding="ascii")
-        source = here / "fmi2.c"
-        source.write_bytes((SOURCES / "fmi2.c").read_bytes())  # beside its model.h
+        source = Path(shutil.copy(SOURCES / "fmi2.c", here))  # beside its model.h
         for platform in platforms:
             archive.writestr(f"binaries/{platform.folder}/{name}{platform.suffix}",
                              shared_library(platform, here, [source]))
@@ -335,9 +323,9 @@ def _refuse_long_delays(model: Model, theta: np.ndarray, active: np.ndarray, h: 
 
 
 def _lost(model: Model) -> tuple[str, ...]:
-    lost = list(lost_of_simulation(model))
-    for name in model.own_terms:
-        lost.append(f"{name}: acts as in the config; its values are not FMU parameters")
+    lost = [*lost_of_simulation(model), *(
+        f"{name}: acts as in the config; its values are not FMU parameters"
+        for name in model.own_terms)]
     if model.settings.rig.position_gain is None:
         drive = model.of_balance("drive")
         lost.append("rig.position_gain is null: x_d has no effect, pump_speed turns the pump"

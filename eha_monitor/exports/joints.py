@@ -52,27 +52,18 @@ class Motion:
 
 @dataclass(frozen=True)
 class Law:
-    """Force against positive motion over velocity, at x = 0 and the charge pressure.
+    """Force against positive motion over velocity, at x = 0 and the charge pressure."""
 
-    Attributes
-    ----------
-    velocity, force : (n,) m/s and N, all that acts, with B v.
-    viscous : B, N·s/m;  dry : (n,) N, the force less B v and less the load.
-    load : force at rest, N;  mass : moving mass with what effects add, kg.
-    by_position : effects and own terms that depend on the position; held at x = 0.
-    by_velocity : those that are no load and no mass.
-    names : effects and own terms of the force balance that are in it.
-    """
-
-    velocity: np.ndarray
-    force: np.ndarray
-    viscous: float
-    dry: np.ndarray
-    load: float
-    mass: float
+    velocity: np.ndarray  # (n,) m/s
+    force: np.ndarray  # (n,) N, all that acts, with B v
+    viscous: float  # B, N·s/m
+    dry: np.ndarray  # (n,) N, the force less B v and less the load
+    load: float  # force at rest, N
+    mass: float  # moving mass with what effects add, kg
+    # Effects and own terms that depend on the position; held at x = 0.
     by_position: tuple[str, ...]
-    by_velocity: tuple[str, ...]
-    names: tuple[str, ...]
+    by_velocity: tuple[str, ...]  # those that are no load and no mass
+    names: tuple[str, ...]  # effects and own terms of the force balance that are in it
 
     def inertia(self, rotary: bool) -> tuple[float, float]:
         """Return mass in kg and moment of inertia in kg·m² of the link; one is for form's sake."""
@@ -81,18 +72,12 @@ class Law:
 
 @dataclass(frozen=True)
 class TwoNumbers:
-    """What a simulator's joint takes: F = damping v + friction sgn v.
+    """What a simulator's joint takes: F = damping v + friction sgn v."""
 
-    Attributes
-    ----------
-    damping, friction : N·s/m and N.
-    error : N, largest difference from the law;  at : m/s, where.
-    """
-
-    damping: float
-    friction: float
-    error: float
-    at: float
+    damping: float  # N·s/m
+    friction: float  # N
+    error: float  # largest difference from the law, N
+    at: float  # where that is, m/s
 
 
 def motion_of(model: Model) -> Motion:
@@ -208,9 +193,11 @@ def _joint(template: str, model: Model, joint: str, law: Law, lost: tuple[str, .
     """Return a template filled with what all joints have, and with further facts."""
     unit = "N·m·s/rad and N·m" if model.rotary else "N·s/m and N"
     mass, inertia = law.inertia(model.rotary)
+    name = "".join(one if one.isalnum() or one in "_-" else "_"
+                   for one in model.settings.rig.name) or "eha"
     return Exported(rendered(
-        template, name=_word(model.settings.rig.name), joint=joint, rotary=model.rotary, mass=mass,
-        inertia=inertia, comments=(
+        template, name=name, joint=joint, rotary=model.rotary, mass=mass, inertia=inertia,
+        comments=(
             f"eha_monitor {__version__}, from {model.source}",
             f"damping and friction in {unit}; {model.provenance}",
             *(f"not in this file: {one}" for one in lost)), **facts), lost)
@@ -257,16 +244,10 @@ def _taken_at(model: Model, law: Law, held: tuple[str, ...] = ()) -> list[str]:
               for name in law.names if "pressure" in name)]
 
 
-def _word(name: str) -> str:
-    return "".join(one if one.isalnum() or one in "_-" else "_" for one in name) or "eha"
-
-
 def feedforward_of(model: Model, joint: str, recordings: Sequence[Recording] = ()) -> Exported:
     """Return the table, and the one number of it that a controller of ros2_controllers takes.
 
-    Parameters
-    ----------
-    recordings : what the model was identified from: they tell which velocities are covered.
+    ``recordings`` : what the model was identified from: they tell which velocities are covered.
     """
     motion = motion_of(model)
     seen = [velocity_of(one) for one in recordings]
@@ -315,7 +296,6 @@ def velocity_of(recording: Recording) -> np.ndarray:
     if not recording.has("x"):
         return np.zeros(0)
     from scipy.signal import savgol_filter
-
     x = np.asarray(recording.channels["x"])
     half = max(2, round(0.5 * DERIVATIVE / recording.sample_time))
     if len(x) <= 2 * half:

@@ -16,6 +16,7 @@ from eha_monitor.physics.simulator import demanded_position
 from eha_monitor.settings.load import scalar
 from eha_monitor.settings.monitor import Settings
 from eha_monitor.settings.own_terms import is_own
+from eha_monitor.units import plain as in_ascii
 
 INPUTS = (("x_d", "m", "demanded position, with closed_loop"),
           ("pump_speed", "rad/s", "shaft speed of the pump, without closed_loop"),
@@ -36,16 +37,10 @@ _NEEDED = ("area_1", "area_2", "volume_1", "volume_2", "pump_displacement")
 
 @dataclass(frozen=True)
 class Model:
-    """A config to be exported.
-
-    Attributes
-    ----------
-    settings : rig, effects and simulation.
-    source : name of the config's file, in comments and errors.
-    """
+    """A config to be exported."""
 
     settings: Settings
-    source: str
+    source: str  # name of the config's file, in comments and errors
 
     @property
     def rotary(self) -> bool:
@@ -94,22 +89,16 @@ class Model:
 
 @dataclass(frozen=True)
 class Exported:
-    """A file in another program's format.
-
-    Attributes
-    ----------
-    content : text or bytes of the file.
-    lost : one line for each piece of the model that the format does not hold.
-    """
+    """A file in another program's format."""
 
     content: str | bytes
+    # One line for each piece of the model that the format does not hold.
     lost: tuple[str, ...] = ()
 
 
 def lost_of_simulation(model: Model) -> tuple[str, ...]:
     """Return what a free-running model leaves out of the config: noise, faults, rounding."""
-    simulation, lost = model.settings.simulation, []
-    lost.append("sensor noise: the outputs are free of it")
+    simulation, lost = model.settings.simulation, ["sensor noise: the outputs are free of it"]
     if simulation.faults:
         lost.append(f"simulation.faults ({', '.join(simulation.faults)}): parameters do not "
                     "change over time")
@@ -122,8 +111,7 @@ def lost_of_simulation(model: Model) -> tuple[str, ...]:
 
 def plain(unit: str) -> str:
     """Return a unit in ASCII: ``N*s/m``, ``m^3/(s*Pa)``; empty where there is none."""
-    text = unit.replace("·", "*").replace("²", "^2").replace("³", "^3")
-    return "" if text == "1" else text
+    return "" if unit == "1" else in_ascii(unit)
 
 
 def exponents(unit: str) -> dict[str, int] | None:

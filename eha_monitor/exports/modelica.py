@@ -39,17 +39,11 @@ _SIGN = "((1 - {w})*tanh(v/{v_e}) + {w}*v/({v_e} + abs(v)))"
 
 @dataclass(frozen=True)
 class Written:
-    """An effect in Modelica.
+    """An effect in Modelica."""
 
-    Attributes
-    ----------
-    adds : contribution (``force``, ``flow_1``, ..., see CONTRIBUTIONS) -> expression.
-    variables : further variables: name -> start, or "" for an algebraic one.
-    equations : further equations.
-    """
-
+    # Contribution (``force``, ``flow_1``, ..., see CONTRIBUTIONS) -> expression.
     adds: dict[str, str]
-    variables: dict[str, str] = field(default_factory=dict)
+    variables: dict[str, str] = field(default_factory=dict)  # name -> start, or "" if algebraic
     equations: tuple[str, ...] = ()
 
 
@@ -80,8 +74,7 @@ def across(flow: str) -> Written:
 
 
 _COULOMB = "{F_c}*" + _SIGN
-_STRIBECK = ("({F_c} + {F_d}*((1 - {h})*exp(-(abs(v)/{v_s})^{delta})"
-             " + {h}/(1 + (v/{v_s})^2)))")
+_STRIBECK = "({F_c} + {F_d}*((1 - {h})*exp(-(abs(v)/{v_s})^{delta}) + {h}/(1 + (v/{v_s})^2)))"
 _LEVEL = "max({F_c} + (if v < 0 then -1 else 1)*{dF}, 0)"
 _ASYMMETRIC = _LEVEL + "*" + _SIGN
 _BY_PRESSURE = "{mu}*max(p1 + p2, 0)*" + _SIGN
@@ -159,9 +152,7 @@ def modelica_of(model: Model, units: Mapping[str, str]) -> Exported:
 
     What cannot be written as an equation is left out, told and named in a comment.
 
-    Parameters
-    ----------
-    units : unit of a linear rig -> that of this one.
+    ``units`` : unit of a linear rig -> that of this one.
 
     Raises
     ------
@@ -276,8 +267,7 @@ def _add_effect(name: str, values: Mapping[str, float], adds: dict[str, list[str
     places = {p.name: f"{name}_{p.name}" for p in CATALOGUE[name].parameters} | {"self": name}
     for contribution, expression in one.adds.items():
         adds[contribution].append(expression.format(**places))
-    starts = {key.format(**places): begin for key, begin in one.variables.items()}
-    variables.update(starts)
+    variables |= {key.format(**places): begin for key, begin in one.variables.items()}
     equations += [line.format(**places) for line in one.equations]
 
 

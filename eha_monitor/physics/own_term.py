@@ -24,6 +24,7 @@ below.  Anything else is refused with its place in the text.
 
 import ast
 import math
+import sys
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -49,8 +50,7 @@ PHASE = WIDTH - 1  # of both: the angle at which a recording begins, rad
 # To what a term adds -> the contributions that read it, and its unit.
 BALANCES = {"force": (of.FORCE,), "flow": (of.FLOW_1, of.FLOW_2), "flow_1": (of.FLOW_1,),
             "flow_2": (of.FLOW_2,), "speed": (of.SPEED,)}
-ADDED_UNITS = {"force": "N", "flow": "m³/s", "flow_1": "m³/s", "flow_2": "m³/s",
-               "speed": "rad/s"}
+ADDED_UNITS = {"force": "N", "flow": "m³/s", "flow_1": "m³/s", "flow_2": "m³/s", "speed": "rad/s"}
 ADDED = tuple(BALANCES)
 TO_FORCE, TO_FLOW, TO_FLOW_1, TO_FLOW_2, _TO_SPEED = range(len(ADDED))
 OF = ("x", "v", "dp", "p", "omega", "p1", "p2", "angle")  # that a term may be a function of
@@ -305,21 +305,13 @@ LONGEST = 400  # characters
 
 @dataclass(frozen=True)
 class Expression:
-    """A parsed expression.
+    """A parsed expression."""
 
-    Attributes
-    ----------
-    text : as it was written.
-    codes : postfix, for :func:`eha_monitor.physics.own_term.expressed`.
-    constants : the numbers of the text; None where a parameter stands, in the order of the codes'
-        places.
-    parameters : names of the parameters -> their place among the constants.
-    """
-
-    text: str
-    codes: tuple[int, ...]
+    text: str  # as it was written
+    codes: tuple[int, ...]  # postfix, for :func:`expressed`
+    # The numbers of the text; None where a parameter stands, in the order of the codes' places.
     constants: tuple[float | None, ...]
-    parameters: dict[str, int]
+    parameters: dict[str, int]  # names -> their place among the constants
 
     def slot(self, adds: str, values: dict[str, float]) -> np.ndarray:
         """Return the slot of theta that holds it, (WIDTH,), with its parameters' values, SI."""
@@ -391,12 +383,12 @@ class _Compiler:
             what = ast.unparse(node)
             raise ValueError(f"at character {node.col_offset + 1}: {what[:40]!r} is no part of an "
                              f"expression, expected numbers, signals ({', '.join(OF)}), "
-                             "parameters, + - * / ** and functions "
-                             f"({', '.join(FUNCTIONS)})")
+                             f"parameters, + - * / ** and functions ({', '.join(FUNCTIONS)})")
 
     def _constant(self, node: ast.Constant) -> None:
         value = node.value
-        if isinstance(value, bool) or not isinstance(value, (int, float)) or not _finite(value):
+        if isinstance(value, bool) or not isinstance(value, (int, float)) or (
+                not abs(value) <= sys.float_info.max):  # a whole number may be larger
             raise ValueError(f"at character {node.col_offset + 1}: expected a finite number, got "
                              f"{str(value)[:40]!r}")
         self.codes.append(FIRST_CONSTANT + len(self.constants))
@@ -430,10 +422,3 @@ class _Compiler:
         for i, argument in enumerate(node.args):
             self.visit(argument, depth + i)
         self.codes.append(FIRST_TWO + TWO.index(name) if wanted == 2 else ONE.index(name))
-
-
-def _finite(value: float) -> bool:
-    try:
-        return math.isfinite(float(value))
-    except OverflowError:
-        return False

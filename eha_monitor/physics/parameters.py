@@ -18,6 +18,9 @@ BASE_KEYS = {
     signals.P_CHARGE: "charge_pressure", signals.G_MAKEUP: "makeup_conductance",
     signals.P_AMBIENT: "ambient_pressure",
 }
+_PLACES = {key: place for place, key in BASE_KEYS.items()} | {
+    f"{name}.{p.name}": slot_of(which).start + i for which, name in enumerate(NAMES)
+    for i, p in enumerate(CATALOGUE[name].parameters)}
 
 
 def theta_of(rig: Rig, effects: dict[str, dict]) -> tuple[np.ndarray, np.ndarray]:
@@ -45,12 +48,7 @@ def theta_of(rig: Rig, effects: dict[str, dict]) -> tuple[np.ndarray, np.ndarray
 
 def place_of(parameter: str) -> int:
     """Return the place in theta of a rig key (``bulk_modulus``) or ``<effect>.<parameter>``."""
-    for place, key in BASE_KEYS.items():
-        if key == parameter:
-            return place
-    effect, _, name = parameter.partition(".")
-    names = [p.name for p in CATALOGUE[effect].parameters]
-    return slot_of(NAMES.index(effect)).start + names.index(name)
+    return _PLACES[parameter]
 
 
 def effect_values(theta: np.ndarray, effect: str) -> dict[str, float]:

@@ -30,37 +30,26 @@ AHEAD = 2.0  # steps in which a valve that opens is foreseen
 
 
 class Actuator(NamedTuple):
-    """What an actuator carries on from step to step, written in place.
+    """What an actuator carries on from step to step, written in place."""
 
-    y : (N_STATE,) state.
-    memory : (N_EFFECTS, MAX_MEMORY) of the effects.
-    past, newest : (RING, 4) ring of the past, and (1,) its newest entry.
-    """
-
-    y: np.ndarray
-    memory: np.ndarray
-    past: np.ndarray
-    newest: np.ndarray
+    y: np.ndarray  # (N_STATE,) state
+    memory: np.ndarray  # (N_EFFECTS, MAX_MEMORY) of the effects
+    past: np.ndarray  # (RING, 4) ring of the past
+    newest: np.ndarray  # (1,) its newest entry
 
 
 class Given(NamedTuple):
-    """What drives an actuator.
+    """What drives an actuator."""
 
-    u, pieces : the input (:func:`input_at`).
-    lead : place of the first sample in it.
-    closed : True where u is x_d in m and the drive closes the loop; False where u is the shaft
-        speed in rad/s.
-    held : the drive reads x_d and x at the start of each sample and holds what it wants, a
-        digital controller; of a closed loop.
-    heard : (m,) position that such a drive has read at each of the first samples, m; NaN, and
-        after them, where it reads the state's.
-    """
-
-    u: np.ndarray
+    u: np.ndarray  # the input (:func:`input_at`)
     pieces: int
-    lead: int
-    closed: bool
+    lead: int  # place of the first sample in it
+    closed: bool  # u is x_d in m and the drive closes the loop; else u is the shaft speed in rad/s
+    # A digital controller, of a closed loop: the drive reads x_d and x at the start of each sample
+    # and holds what it wants.
     held: bool
+    # (m,) position that such a drive has read at each of the first samples, m; NaN, and after
+    # them, where it reads the state's.
     heard: np.ndarray
 
 
@@ -90,7 +79,9 @@ class Equations(NamedTuple):
 
 def actuator_of(y: np.ndarray, memory: np.ndarray) -> Actuator:
     """Return an actuator that has rested at ``y``, (N_STATE,), with its effects' memory."""
-    return Actuator(y, memory, new_past(y), np.zeros(1, dtype=np.int64))
+    past = np.tile(y[:4], (RING, 1))
+    past[:, Y_V] = 0.0
+    return Actuator(y, memory, past, np.zeros(1, dtype=np.int64))
 
 
 def new_state(x: float, p1: float, p2: float) -> np.ndarray:
@@ -98,14 +89,6 @@ def new_state(x: float, p1: float, p2: float) -> np.ndarray:
     y = np.zeros(N_STATE)
     y[Y_X], y[Y_P1], y[Y_P2], y[Y_PLAYED] = x, p1, p2, x
     return y
-
-
-def new_past(y: np.ndarray) -> np.ndarray:
-    """Return a past of rest at ``y``, (RING, 4)."""
-    past = np.zeros((RING, 4))
-    past[:] = y[:4]
-    past[:, Y_V] = 0.0
-    return past
 
 
 @njit(forceinline=True)

@@ -116,8 +116,7 @@ class Simulator:
                 effects[effect] = {p.name: p.default if p.default is not None else p.neutral
                                    for p in parameters.CATALOGUE[effect].parameters}
         self.theta, self.active = parameters.theta_of(settings.rig, effects)
-        self.rng = np.random.default_rng(
-            settings.simulation.seed if seed is None else seed)
+        self.rng = np.random.default_rng(settings.simulation.seed if seed is None else seed)
         self._own_demand = demand
         self._tests: list[float] = []  # when each test excitation began, s
         start = self._demanded(np.zeros(1))[0]
@@ -227,14 +226,11 @@ class Simulator:
     def measure(self, truth: np.ndarray, shown: np.ndarray) -> dict[str, np.ndarray]:
         """Return the published channels: sensors, noise, resolution; channel -> (n,) SI."""
         rig, noise = self.settings.rig, self.settings.simulation.noise
-        p1, p2 = shown[:, 2], shown[:, 3]
+        x, v, p1, p2, omega = shown.T
         clean = {
-            "x": (shown[:, 0], noise.position),
-            "v": (shown[:, 1], noise.velocity),
-            "x_d": (truth[:, signals.X_D], 0.0),
-            "omega": (shown[:, 4], noise.pump_speed),
-            "p1": (p1, noise.pressure),
-            "p2": (p2, noise.pressure),
+            "x": (x, noise.position), "v": (v, noise.velocity),
+            "x_d": (truth[:, signals.X_D], 0.0), "omega": (omega, noise.pump_speed),
+            "p1": (p1, noise.pressure), "p2": (p2, noise.pressure),
             "force": (rig.area_1 * p1 - rig.area_2 * p2, noise.force),
             "temperature": (np.full(len(truth), self.settings.simulation.temperature),
                             noise.temperature),

@@ -41,7 +41,7 @@ from eha_monitor.mismatch.name.starts import (
     without_effect,
 )
 from eha_monitor.mismatch.show import held_out
-from eha_monitor.output import write_text
+from eha_monitor.output import finite, write_json
 from eha_monitor.physics import signals as s
 from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.physics.parameters import effect_values
@@ -124,8 +124,7 @@ class RigNumbers:
 
         Along a ridge of numbers slopes from elsewhere would end too early.
         """
-        fit = max(fit, with_unknowns(self.experiment, fit),
-                  key=lambda one: one.log_likelihood)
+        fit = max(fit, with_unknowns(self.experiment, fit), key=lambda one: one.log_likelihood)
         if np.isfinite(fit.log_likelihood):
             fit = polished(self.experiment, fit, self.slopes(fit), ROUGH_STEPS, ROUGHLY)
         return at_level(self.experiment, fit) if np.isfinite(fit.log_likelihood) else fit
@@ -199,23 +198,19 @@ def fit_of_truth(rig: RigNumbers, first: Fit, known: dict[str, dict], truth: dic
     for f in rig.free(tuple(known)):
         theta[f.place] = true.get(f.name, theta[f.place])
     start_fit = replace(first, theta=theta)
-    starts = {name: true_start(experiment, name, parameters)
-              for name, parameters in known.items()}
+    starts = {name: true_start(experiment, name, parameters) for name, parameters in known.items()}
     for start in starts.values():
         start_fit = entered_at(start_fit, start)
     fit = rig.fitted(at_level(experiment, rig.beside(start_fit)))
-    if not known or not leaves(experiment, fit):
+    # Does it need more unknowns than every right one may, or can it not be followed?
+    if not known or (np.isfinite(fit.log_likelihood)
+                     and not needs(experiment, fit, experiment.policy.few)):
         return fit
     for name, start in starts.items():
         start_fit = looked(rig, without_effect(experiment, start_fit, name),
                        [start, *starts_of(name, experiment)])
     other = rig.fitted(at_level(experiment, rig.beside(start_fit)), aim=fit.log_likelihood)
     return max(fit, other, key=lambda one: one.log_likelihood)
-
-
-def leaves(experiment: Experiment, fit: Fit) -> bool:
-    """Tell whether a model needs more unknowns than every right one may, or cannot be followed."""
-    return not np.isfinite(fit.log_likelihood) or needs(experiment, fit, experiment.policy.few)
 
 
 def instead(rig: RigNumbers, after: Fit, name: str, other: str, without: Fit) -> Fit:
@@ -231,11 +226,6 @@ def instead(rig: RigNumbers, after: Fit, name: str, other: str, without: Fit) ->
         (symbol, shared.get(symbol, value)) for symbol, value in starts[0].values)))
     start_fit = replace(without_effect(rig.experiment, after, name), unknowns=without.unknowns)
     return rig.fitted(rig.beside(looked(rig, start_fit, starts)), aim=after.log_likelihood)
-
-
-def best_of(experiment: Experiment, fit: Fit, name: str) -> Fit:
-    """Return a fit with one more effect, the best over its starts."""
-    return refitted(experiment, looked(RigNumbers(experiment), fit, starts_of(name, experiment)))
 
 
 def looked(rig: RigNumbers, fit: Fit, starts: Sequence[Start]) -> Fit:
@@ -256,11 +246,6 @@ def without_numbers(fit: Fit) -> Fit:
     """Return a fit with the rig's numbers held where they are."""
     free = tuple(f for f in fit.free if not f.of_rig)
     return replace(fit, free=free, covariance=np.zeros((len(free),) * 2))
-
-
-def refitted(experiment: Experiment, fit: Fit) -> Fit:
-    """Return a fit carried to its optimum, from gains that suit where it begins."""
-    return settled(experiment, with_unknowns(experiment, fit))
 
 
 def entered_at(fit: Fit, start: Start) -> Fit:
@@ -293,15 +278,12 @@ def main(arguments: list[str]) -> None:
     """Answer for one case."""
     from eha_monitor.recordings.read import read_recording
     from eha_monitor.settings import load_settings
-
     key, case, bag, config, answer = arguments
     truth = next(one for one in json.loads(Path(key).read_text(encoding="utf-8"))["cases"]
                  if one["case"] == case)
     settings = load_settings(Path(config))
     found = oracle([read_recording(Path(bag), settings)], settings, truth)
-    text = json.dumps(found, indent=1)
-    write_text(Path(answer), text.replace("-Infinity", "null").replace("Infinity", "null")
-               .replace("NaN", "null") + "\n")
+    write_json(answer, finite(found))
 
 
 if __name__ == "__main__":

@@ -90,11 +90,8 @@ def wilson(share: np.ndarray | float, n: np.ndarray | int) -> tuple:
 def statement(of: str, said: object, right: bool | None) -> list[dict]:
     """Return a statement with its probability; none where either is missing.
 
-    Parameters
-    ----------
-    of : what is stated: an effect, a number of the rig, ``consistent`` or ``unexplained``.
-    said : its probability.
-    right : whether it is so; None where nobody knows.
+    ``of`` : an effect, a number of the rig, ``consistent`` or ``unexplained``;  ``right`` :
+    whether it is so, None where nobody knows.
     """
     if right is None or not isinstance(said, int | float) or not 0.0 <= said <= 1.0:
         return []
@@ -105,11 +102,8 @@ def statements_of(answer: dict, findings: Iterable[dict], paired: Sequence[str],
                   consistent: bool | None, unexplained: bool | None) -> list[dict]:
     """Return all statements of an answer.
 
-    Parameters
-    ----------
-    findings : what it says of rig numbers.
-    paired : names that stand for something that is there.
-    consistent, unexplained : whether these are so; None where nobody knows.
+    ``findings`` : what it says of rig numbers;  ``paired`` : names that stand for something that
+    is there;  ``consistent``, ``unexplained`` : whether these are so, None where nobody knows.
     """
     stated = answer.get("probability") or {}
     found = statement("consistent", stated.get("consistent"), consistent)
@@ -238,12 +232,10 @@ def row_of(truth: dict, answer: dict | None, oracle: dict | None = None,
     off = [name for name, error in errors_off.items() if error >= OFF]
     loose = [name for name, error in errors_off.items() if NEAR <= error < OFF]
     rig_evidence = (oracle or {}).get("rig_evidence", {})
-    rig_known = [name for name in off
-                 if not oracle or (rig_evidence.get(name) or 0) >= DETECTABLE]
+    rig_known = [name for name in off if not oracle or (rig_evidence.get(name) or 0) >= DETECTABLE]
     classes = {one["name"]: tuple(map(number_of, one["indistinguishable_from"]))
                for one in answer["effects"]}
-    said = {**classes, **{one["number"]: rivals_of(one, one["number"])
-                          for one in findings}}
+    said = {**classes, **{one["number"]: rivals_of(one, one["number"]) for one in findings}}
     accepted = {**{one["name"]: accepted_for(one, names, oracle)
                    for one in [*truth["effects"], *beside] if one["in_catalogue"]},
                 **{name: {name} for name in (*off, *loose)}}
@@ -298,8 +290,8 @@ def row_of(truth: dict, answer: dict | None, oracle: dict | None = None,
         "learned": learned_row(truth, answer),
         "rig_off": off, "rig_expected": rig_known, "rig_evidence": rig_evidence,
         "rig_classes": {one["number"]: list(said[one["number"]]) for one in findings},
-        "rig_false": false_names([one["number"] for one in findings],
-                                         list(pairs.values()), errors_off),
+        "rig_false": false_names([one["number"] for one in findings], list(pairs.values()),
+                                 errors_off),
         "rig_errors": truth.get("rig_off", []),
         "probabilities": statements_of(answer, findings, list(pairs.values()), consistent,
                                        shown),
@@ -546,20 +538,16 @@ def confusion(rows: Sequence[dict]) -> dict[str, dict[str, int]]:
 def learned_row(truth: dict, answer: dict) -> dict | None:
     """Return how a learned term compares with what was concealed; None where that has a name.
 
-    Returns
-    -------
-    dict
-        ``told``, ``removed`` of the error on unseen data (0 without a term), ``errors`` relative
-        of B and beta_e, ``inside`` the share of the places at which the true curve is in the
-        band, ``shape`` whether the formula's is right; None where it does not apply.
+    ``told``, ``removed`` of the error on unseen data (0 without a term), ``errors`` relative of B
+    and beta_e, ``inside`` the share of the places at which the true curve is in the band,
+    ``shape`` whether the formula's is right; None where it does not apply.
     """
     outside = [one for one in truth["effects"] if not one["in_catalogue"]]
     if not outside:
         return None
     terms = answer.get("learned") or []
     if not terms:
-        return {"told": False, "removed": 0.0, "errors": {}, "inside": None,
-                "shape": False}
+        return {"told": False, "removed": 0.0, "errors": {}, "inside": None, "shape": False}
     term, after = terms[0], answer["parameters"]["after"]
     errors = {name: abs(after[name]["value"] / truth[name] - 1.0)
               for name in ("B", "beta_e") if name in after}

@@ -31,8 +31,7 @@ from eha_monitor.compiled import FIRST_RUN
 from eha_monitor.concealed.cases import CONFIG_KEYS, TOLERANCES, Case, truth_of
 from eha_monitor.concealed.draws import SETS, draw_cases, misconfigured
 from eha_monitor.errors import InputError
-from eha_monitor.output import source_digest as digest_of_source
-from eha_monitor.output import write_text
+from eha_monitor.output import source_digest, write_text
 from eha_monitor.progress import Report, silent
 from eha_monitor.prove import score
 from eha_monitor.settings.monitor import Settings
@@ -43,26 +42,16 @@ LONGEST = 1800.0  # s that a diagnosis may take
 
 @dataclass(frozen=True)
 class Questions:
-    """Questions of one kind.
+    """Questions of one kind."""
 
-    Attributes
-    ----------
-    module : what is run, as by ``python -m``.
-    folder : of the answers, ``NAME.json``, and of how they ran, ``NAME.run.json``.
-    source : digest of what has a part in the answers.
-    arguments : name of a question -> arguments of the module.
-    what : the work in words.
-    """
-
-    module: str
-    folder: Path
-    source: str
-    arguments: Callable[[str], list[str]]
-    what: str
+    module: str  # what is run, as by ``python -m``
+    folder: Path  # of the answers, ``NAME.json``, and of how they ran, ``NAME.run.json``
+    source: str  # digest of what has a part in the answers
+    arguments: Callable[[str], list[str]]  # name of a question -> arguments of the module
+    what: str  # the work in words
 
 
-def children(questions: Questions, names: Sequence[str], jobs: int,
-             say: Report) -> None:
+def children(questions: Questions, names: Sequence[str], jobs: int, say: Report) -> None:
     """Have each name answered by a process of its own, ``jobs`` at a time, each on its cores."""
     jobs = max(1, min(jobs, len(names)))
     cores = sorted(os.sched_getaffinity(0))
@@ -209,50 +198,32 @@ ROOMS = ("physics", "estimation", "balances", "mismatch", "recordings", "setting
 FEW = 4  # cases that are made without processes of their own
 
 
-
 @dataclass(frozen=True)
 class Question:
-    """One process that answers, with what it is handed.
+    """One process that answers, with what it is handed."""
 
-    Attributes
-    ----------
-    name : of the answer.
-    bags : names of the recordings; the config is that of the first.
-    command : ``diagnose`` or ``advise``.
-    held_out : name of a recording on which the fit is shown.
-    """
-
-    name: str
-    bags: tuple[str, ...]
-    command: str = "diagnose"
-    held_out: str = ""
+    name: str  # of the answer
+    bags: tuple[str, ...]  # names of the recordings; the config is that of the first
+    command: str = "diagnose"  # or ``advise``
+    held_out: str = ""  # name of a recording on which the fit is shown
 
 
 @dataclass(frozen=True)
 class Trial:
-    """What is tried, and how.
+    """What is tried, and how."""
 
-    Attributes
-    ----------
-    cases : what is concealed.
-    seed : of the draws.
-    work : folder of the trial.
-    oracle : also fit each case with a model that knows the effects, not the true rig.
-    jobs : processes at a time; each gets its share of the cores.
-    keep : which answers of an earlier run stay: of the ``same`` source, ``all``, ``none``.
-    questions : to be answered; without them one diagnosis of each recording by itself.
-    conceal : writes the recording of a case into a folder and returns what is true of it.
-    complete : given the opened key, returns it with what lies elsewhere and was sealed by digest.
-    """
-
-    cases: tuple[Case, ...]
-    seed: int
-    work: Path
+    cases: tuple[Case, ...]  # what is concealed
+    seed: int  # of the draws
+    work: Path  # folder of the trial
+    # Also fit each case with a model that knows the effects, not the true rig.
     oracle: bool = False
-    jobs: int = 0
+    jobs: int = 0  # processes at a time; each gets its share of the cores
+    # Answers of an earlier run that stay: of the ``same`` source, ``all``, ``none``.
     keep: str = "same"
-    questions: tuple[Question, ...] = ()
+    questions: tuple[Question, ...] = ()  # without them one diagnosis of each recording by itself
+    # Writes the recording of a case into a folder and returns what is true of it.
     conceal: Callable[[Case, Path], dict] | None = None
+    # Given the opened key, returns it with what lies elsewhere and was sealed by digest.
     complete: Callable[[dict], dict] | None = None
 
     def all_questions(self) -> tuple[Question, ...]:
@@ -333,8 +304,8 @@ def make(case: Case, work: Path, conceal: Callable[[Case, Path], dict] | None = 
     folder = work / "recordings"
     truth = (conceal or concealed)(case, folder)
     bag, config = folder / case.name, folder / f"{case.name}.yaml"
-    digests = {path.name: digest_of(path.read_bytes()) for path in sorted([*bag.iterdir(),
-                                                                           config])}
+    digests = {path.name: digest_of(path.read_bytes())
+               for path in sorted([*bag.iterdir(), config])}
     write_json(work / "key" / "made" / f"{case.name}.json",
                {**truth, "case": case.name, "recording_sha256": digests})
 
@@ -342,7 +313,6 @@ def make(case: Case, work: Path, conceal: Callable[[Case, Path], dict] | None = 
 def concealed(case: Case, folder: Path) -> dict:
     """Write a recording of the independent plant; returns its entry in the key."""
     from eha_monitor.concealed.generate import write_case
-
     write_case(case, folder)
     return {**truth_of(case), "motion": case.motion, "noise": case.noise,
             "channels": list(case.channels), "rig": case.rig, "nominal": case.nominal,
@@ -390,7 +360,7 @@ def answer(trial: Trial, say: Report, what: str = "diagnosing") -> None:
         return [*map(str, (trial.work, *bags, *unseen, config, answer, "--", *words))]
 
     ask(trial, tuple(questions), Questions("eha_monitor.prove.blind", trial.work / "answers",
-                                       source_digest(), arguments, what), say)
+                                       source_digest(ROOMS), arguments, what), say)
 
 
 def ask_oracle(trial: Trial, say: Report) -> None:
@@ -399,7 +369,7 @@ def ask_oracle(trial: Trial, say: Report) -> None:
         bag, config, answer = places(trial, name, "oracles")
         return [*map(str, (trial.work / "key" / "key.json", name, bag, config, answer))]
 
-    source = source_digest() + digest_of((PACKAGE / "prove" / "oracle.py").read_bytes())
+    source = source_digest(ROOMS) + digest_of((PACKAGE / "prove" / "oracle.py").read_bytes())
     names = tuple(case.name for case in trial.cases)
     ask(trial, names, Questions("eha_monitor.prove.oracle", trial.work / "oracles",
                             digest_of(source.encode())[:16], arguments, "asking the oracle"), say)
@@ -452,11 +422,6 @@ def result(trial: Trial, key: dict, sealed: str) -> dict:
 def jobs_of(trial: Trial) -> int:
     """Return how many processes run at a time: as many as there are cores, unless given."""
     return trial.jobs or len(os.sched_getaffinity(0))
-
-
-def source_digest() -> str:
-    """Return a digest of everything that has a part in an answer."""
-    return digest_of_source(ROOMS)
 
 
 def commit() -> str | None:

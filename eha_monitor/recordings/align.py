@@ -6,11 +6,10 @@ from collections.abc import Callable
 import numpy as np
 
 from eha_monitor.errors import InputError, one_line
-from eha_monitor.recordings.between import interpolate, released
 from eha_monitor.recordings.cdr import Series
-from eha_monitor.recordings.dating import EVENER, beside, evenness
-from eha_monitor.recordings.grid import JITTER, Grid, fit_grid, repair, tell_gaps
-from eha_monitor.recordings.recording import CHANNELS, Recording, within_limits
+from eha_monitor.recordings.columns import IN_MEMORY, PIECE, Column, blocks
+from eha_monitor.recordings.grid import GAP, JITTER, Grid, fit_grid, period_of, repair, tell_gaps
+from eha_monitor.recordings.recording import CHANNELS, Recording, sampled_rows, within_limits
 from eha_monitor.settings.monitor import Settings
 
 CLOCKS = 2**61  # ns; stamps are held within this range, so that differences do not overflow
@@ -118,7 +117,7 @@ def _axis(found: Series, label: str, leader: Series, led, origin: int, grid: Gri
 
 
 def _dated(found: Series, label: str, leader: Series, led, said: list[str]) -> np.ndarray:
-    """Return the stamps of a topic; without any, see :mod:`eha_monitor.recordings.dating`."""
+    """Return the stamps of a topic; of one without any, by itself or by others (below)."""
     if found.stamped or not leader.stamped:
         return found.stamp_ns
     order = led[np.argsort(leader.log_ns[led], kind="stable")]
@@ -174,3 +173,210 @@ def tell_grid(grid: Grid, label: str, nominal: float, said: list[str]) -> None:
     elif abs(grid.step / nominal - 1) > 1e-6:
         said.append(f"{label}: the stamps give a sample time of {grid.step * 1e3:.6g} ms, the "
                     f"config {nominal * 1e3:.6g} ms; the stamps are used")
+
+
+# ---- What lies between samples, and sensor channels that a logger repeats.
+#
+# A file at 100 Hz whose pressures come over a bus at 20 Hz holds each of them for five rows.
+# Taken as measured in every row they lag by two rows on average and move in steps, and the flow
+# balance takes the lag for compliance.  So the rows that repeat are left out, and what lies
+# between the new values is interpolated as that of a topic with a rate of its own.
+
+SENSORS = ("x", "v", "p1", "p2", "force")
+# A drive may truly hold its speed, and the model has a hold for that: the logger does so only
+# where it holds a sensor over as many rows.  A demand is held in any case.
+DRIVEN = "omega"
+ENOUGH = 50  # clear changes, below which nothing is concluded
+CLEAR = 1.5  # of a small change; one step of a coarse sensor says nothing about holding
+SMALL = 0.1  # of the changes are smaller: of a coarse sensor they are one step of it
+LOOSE = 0.02  # of the clear changes may follow another at once (lost rows, a second source)
+
+
+def interpolate(t: np.ndarray, values: np.ndarray, at: np.ndarray,
+                cubic: bool = False) -> np.ndarray:
+    """Interpolate between neighbours, never across a gap of more than GAP periods.
+
+    Parameters
+    ----------
+    t, values : (n,) rising times in s, and values.
+    at : (m,) times wanted, s.
+    cubic : through four neighbours where they are close together; smooths noise less.
+    """
+    out = np.full(len(at), np.nan)
+    if len(t) == 0:
+        return out
+    period = period_of(t)
+    near = np.clip(np.searchsorted(t, at), 0, len(t) - 1)
+    before = np.clip(near - 1, 0, None)
+    near = np.where(np.abs(t[before] - at) < np.abs(t[near] - at), before, near)
+    same = np.abs(t[near] - at) <= JITTER * (period or 1.0)
+    if len(t) > 1:
+        left = np.clip(np.searchsorted(t, at, side="right") - 1, 0, len(t) - 2)
+        width = t[left + 1] - t[left]
+        inside = (at >= t[0]) & (at <= t[-1]) & (width <= GAP * period)
+        part = (at - t[left]) / width
+        linear = values[left] * (1 - part) + values[left + 1] * part
+        out[inside] = linear[inside]
+        if cubic and len(t) > 3:
+            four = np.clip(left, 1, len(t) - 3)[:, None] + np.arange(-1, 3)
+            nodes, heights = t[four], values[four]
+            apart = nodes[:, :, None] - nodes[:, None, :]
+            away = at[:, None, None] - np.broadcast_to(nodes[:, None, :], apart.shape)
+            one = np.eye(4, dtype=bool)[None]
+            ratio = np.where(one, 1.0, away / np.where(one, 1.0, apart))
+            curve = (ratio.prod(axis=2) * heights).sum(axis=1)
+            close = inside & (np.diff(nodes, axis=1) <= GAP * period).all(axis=1)
+            close &= np.isfinite(curve)
+            out[close] = curve[close]
+    same &= np.isnan(out)  # at the edge of a gap, or beside a NaN
+    out[same] = values[near[same]]
+    return out
+
+
+def hold_of(values: np.ndarray) -> int:
+    """Return over how many rows each value is repeated; 1 where every row may be new.
+
+    A coarse sensor repeats values too, as long as the quantity moves by less than its resolution
+    in a row.  It then changes by one step of its resolution; a change by more than that, always a
+    few rows after the one before, is of a held value.
+
+    ``values`` : (n,) one channel, NaN where missing.
+    """
+    steps = np.abs(np.diff(values))
+    at = np.flatnonzero(steps > 0.0)
+    if len(at) <= ENOUGH:
+        return 1
+    clear = np.flatnonzero(steps[at] > CLEAR * np.quantile(steps[at], SMALL))
+    clear = clear[clear > 0]
+    if len(clear) < ENOUGH:
+        return 1
+    apart = at[clear] - at[clear - 1]
+    return int(np.median(apart)) if np.quantile(apart, LOOSE) >= 2 else 1
+
+
+def fresh_rows(values: np.ndarray, hold: int) -> np.ndarray:
+    """Return the rows at which a value is new, (k,): where it changes, and every ``hold`` after.
+
+    A value that does not change for longer than ``hold`` was measured again and is the same.
+    """
+    finite = np.isfinite(values)
+    new = finite & np.concatenate([[True], (values[1:] != values[:-1])])
+    at = np.flatnonzero(new)
+    last = np.concatenate([at[1:], [len(values)]])
+    # Half of a hold may be missing where two clocks drift past one another.
+    again = np.maximum((last - at - (hold + 1) // 2) // hold, 0)
+    rows = np.repeat(at, again + 1) + hold * (
+        np.arange(np.sum(again + 1)) - np.repeat(np.cumsum(again + 1) - again - 1, again + 1))
+    return rows[finite[rows]]
+
+
+def released(columns: dict[str, np.ndarray], step: float, said: list[str]
+             ) -> dict[str, np.ndarray]:
+    """Return the columns, each held sensor channel interpolated between its new values.
+
+    Parameters
+    ----------
+    columns : channel -> (n,) on one grid, SI, NaN where missing.
+    step : spacing of the grid, s.
+    said : takes a sentence for each channel that was held.
+    """
+    found, holds = dict(columns), {}
+    for name in (*SENSORS, DRIVEN):
+        if name not in columns:
+            continue
+        values, rows = columns[name], len(columns[name])
+        hold = hold_of(values if rows <= IN_MEMORY else values[sampled_rows(rows)[:PIECE]])
+        if hold == 1 or (name == DRIVEN and hold not in holds.values()):
+            continue
+        holds[name], found[name] = hold, _between(values, hold, step)
+        said.append(f"{name}: {1 / (hold * step):.4g} Hz, each value repeated over {hold} rows; "
+                    f"interpolated to {1 / step:.4g} Hz")
+    return found
+
+
+def _between(values: np.ndarray, hold: int, step: float) -> np.ndarray:
+    """Return a held channel, interpolated between its new values, (n,)."""
+    made = Column()
+    for start, stop, _ in blocks(values):
+        first, last = max(0, start - 8 * hold), min(len(values), stop + 8 * hold)
+        part = values[first:last]
+        rows = fresh_rows(part, hold)
+        at = np.arange(start - first, stop - first)
+        between = interpolate(rows * step, part[rows], at * step, cubic=True)
+        # Of the last value before a gap, or the end, nothing follows.
+        made.append(np.where(np.isnan(between), part[at], between))
+    return made.values()
+
+
+# ---- When messages without a stamp were sent: when they came, or when others say that came then.
+#
+# On a busy machine messages wait and are received together.  Their times of receipt then say
+# little, and the stamps of the position's messages that waited with them say more.  But a position
+# that is sent in blocks, by a node of its own, would put the messages of others in blocks as well.
+# So the more even of the two is taken: over the same time its steps have the larger sum of roots
+# (Jensen).
+
+EVENER = 1.1  # times the sum of roots: surely the more even
+KEPT = 1000  # messages of the position that are remembered
+LEAST_NS, WAITS_NS = 1_000, 1_000_000_000  # between two messages; as long as one waits
+FADES = 0.98  # of the sums, from one look at the topics to the next: some seconds
+
+
+def beside(received: np.ndarray, of_received: np.ndarray, of_stamps: np.ndarray) -> np.ndarray:
+    """Return the times of messages by the stamps of others that were received about then.
+
+    Parameters
+    ----------
+    received : (n,) ns, when they were received.
+    of_received, of_stamps : (m,) ns of the others, in order of receipt.
+    """
+    return received + np.rint(np.interp(received, of_received, of_stamps - of_received)).astype(
+        np.int64)
+
+
+def evenness(times: np.ndarray) -> float:
+    """Return the sum of the roots of the steps between times: the larger, the more even."""
+    return float(np.sum(np.sqrt(np.maximum(np.diff(times), 0.0))))
+
+
+class _Topic:
+    """A topic without stamps: how even its times are, by receipt and by others."""
+
+    def __init__(self):
+        self.even = np.zeros(2)
+        self.last = (np.empty(0, dtype=np.int64),) * 2
+        self.by_others = 0
+        self.dated = 0
+
+
+class Dating:
+    """Dates the messages of topics without stamps as they come."""
+
+    def __init__(self):
+        self._received = self._stamps = np.empty(0, dtype=np.int64)
+        self._topics: dict[str, _Topic] = {}
+
+    def learn(self, received: np.ndarray, stamps: np.ndarray) -> None:
+        """Take messages of the position: (n,) ns, when they were received, and their stamps."""
+        self._received = np.concatenate((self._received, received))[-KEPT:]
+        self._stamps = np.concatenate((self._stamps, stamps))[-KEPT:]
+
+    def dated(self, topic: str, received: np.ndarray) -> np.ndarray:
+        """Return the times of messages of a topic, (n,) ns."""
+        if not len(self._received):
+            return received
+        one = self._topics.setdefault(topic, _Topic())
+        both = received, beside(received, self._received, self._stamps)
+        one.even = FADES * one.even + [evenness(np.concatenate((last, times)))
+                                       for last, times in zip(one.last, both, strict=True)]
+        one.last = tuple(times[-1:] for times in both)
+        if abs(self._stamps[-1] - self._received[-1]) > WAITS_NS:
+            one.by_others = 1  # they are of another clock: sim time, or a controller's
+        elif one.even[1 - one.by_others] > EVENER * one.even[one.by_others]:
+            one.by_others = 1 - one.by_others
+        found = both[one.by_others]
+        # From one to the other they must not go back: that is what a clock that was set does.
+        least = one.dated + LEAST_NS * np.arange(1, 1 + len(found))
+        found = np.where((found < least) & (least < found + WAITS_NS), least, found)
+        one.dated = int(found[-1])
+        return found

@@ -6,6 +6,7 @@ file that was cut off is read up to the cut, its last chunk included.
 """
 
 import struct
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
 from io import BytesIO
@@ -136,24 +137,16 @@ class Block:
 
 
 class McapFile:
-    """One mcap file; iterate :meth:`blocks`, then ask what was lost.
-
-    Attributes
-    ----------
-    schemas, channels : id -> record, filled while the blocks are read.
-    found : messages found so far; declared : what the file's own statistics say, or None.
-    truncated_at : byte where the file ends too early or cannot be followed, or None.
-    damaged_chunks : chunks that could not be decoded.
-    """
+    """One mcap file; iterate :meth:`blocks`, then ask what was lost."""
 
     def __init__(self, path: Path):
         self.path = path
-        self.schemas: dict[int, mcap.records.Schema] = {}
+        self.schemas: dict[int, mcap.records.Schema] = {}  # filled while the blocks are read
         self.channels: dict[int, mcap.records.Channel] = {}
-        self.found = 0
-        self.declared: int | None = None
-        self.truncated_at: int | None = None
-        self.damaged_chunks = 0
+        self.found = 0  # messages so far
+        self.declared: int | None = None  # messages that the file's own statistics say
+        self.truncated_at: int | None = None  # byte from which it cannot be followed
+        self.damaged_chunks = 0  # that could not be decoded
         self.damage = ""
         self.data = _bytes_of(path)
 
@@ -185,6 +178,15 @@ class McapFile:
             self.found += len(block.ids)
             yield block
 
+    def channels_in(self, block: Block) -> Iterator[
+            tuple[mcap.records.Channel, mcap.records.Schema, int]]:
+        """Yield channel, schema and number of messages of what is in a block and declared."""
+        for channel_id, number in zip(*np.unique(block.ids, return_counts=True), strict=True):
+            channel = self.channels.get(int(channel_id))
+            schema = self.schemas.get(channel.schema_id) if channel else None
+            if schema is not None:
+                yield channel, schema, int(number)
+
     def _declare(self, opcode: int, data: np.ndarray) -> None:
         """Take note of a schema, a channel or the statistics."""
         try:
@@ -197,7 +199,7 @@ class McapFile:
             elif opcode == Opcode.STATISTICS:
                 self.declared = mcap.records.Statistics.read(_stream(data)).message_count
         except DAMAGE as problem:
-            self.damage = self.damage or f"{type(problem).__name__}"
+            self.damage = self.damage or type(problem).__name__
 
     def _chunk(self, data: np.ndarray, whole: bool) -> Iterator[Block]:
         try:
@@ -360,11 +362,9 @@ def _files_of(path: Path, losses: list[str]) -> tuple[list[Path], int | None]:
                          "'ros2 bag convert' or 'rosbags-convert'")
     chosen = []
     for name in listed:
-        for candidate in (path / name, path / f"{name}.zstd"):
-            if candidate in inside:
-                chosen.append(candidate)
-                break
-        else:
+        there = [one for one in (path / name, path / f"{name}.zstd") if one in inside]
+        chosen += there[:1]
+        if not there:
             losses.append(f"{name} is listed in metadata.yaml and is missing")
     if not chosen and not inside:
         raise InputError(f"{path}: expected the .mcap files that metadata.yaml lists, found none")
@@ -374,7 +374,6 @@ def _files_of(path: Path, losses: list[str]) -> tuple[list[Path], int | None]:
 def _metadata(path: Path, losses: list[str]) -> tuple[list[str], int | None]:
     from ruamel.yaml import YAML
     from ruamel.yaml.error import YAMLError
-
     check_regular(path, "the metadata.yaml of a bag")
     try:
         if path.stat().st_size > LARGEST_METADATA:
@@ -398,15 +397,11 @@ def topics(path: str | Path) -> dict[str, Topic]:
         If there is no bag.
     """
     bag = Bag(path)
-    counts: dict[tuple, int] = {}
+    counts: Counter[str] = Counter()
     found: dict[str, Topic] = {}
     for file, block in bag.blocks():
-        for channel_id, number in zip(*np.unique(block.ids, return_counts=True), strict=True):
-            channel = file.channels.get(int(channel_id))
-            schema = file.schemas.get(channel.schema_id) if channel else None
-            if schema is None:
-                continue
-            counts[channel.topic] = counts.get(channel.topic, 0) + int(number)
+        for channel, schema, number in file.channels_in(block):
+            counts[channel.topic] += number
             found[channel.topic] = Topic(
                 channel.topic, schema.name, schema.encoding,
                 schema.data.decode("utf-8", errors="replace"), counts[channel.topic],
@@ -425,16 +420,10 @@ def iter_raw(path: str | Path) -> Iterator[tuple[str, str, int, bytes]]:
     InputError
         If there is no bag.
     """
-    import zstandard
-
     unpack = zstandard.ZstdDecompressor()
     for file, block in Bag(path).blocks():
-        names = {}
-        for channel_id in np.unique(block.ids).tolist():
-            channel = file.channels.get(channel_id)
-            schema = file.schemas.get(channel.schema_id) if channel else None
-            if schema is not None:
-                names[channel_id] = (channel.topic, schema.name)
+        names = {channel.id: (channel.topic, schema.name)
+                 for channel, schema, _ in file.channels_in(block)}
         order = np.argsort(block.times, kind="stable")
         columns = (block.ids, block.times, block.begins, block.lengths)
         for channel_id, time, begin, length in zip(*(c[order].tolist() for c in columns),

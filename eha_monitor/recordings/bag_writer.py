@@ -151,9 +151,9 @@ COMPRESSIONS = {"zstd": CompressionType.ZSTD, "lz4": CompressionType.LZ4,
                 "none": CompressionType.NONE}
 
 
-def offered_qos(latched: bool = False, depth: int = 10) -> list[Qos]:
+def offered_qos(latched: bool) -> list[Qos]:
     """Return the QoS that a recorded topic declares: reliable, transient local if latched."""
-    return [Qos(QosHistory.KEEP_LAST, depth, QosReliability.RELIABLE,
+    return [Qos(QosHistory.KEEP_LAST, 10, QosReliability.RELIABLE,
                 QosDurability.TRANSIENT_LOCAL if latched else QosDurability.VOLATILE,
                 FOREVER, FOREVER, QosLiveliness.AUTOMATIC, FOREVER, False)]
 
@@ -234,8 +234,8 @@ class BagWriter:
     """
 
     def __init__(self, path: str | Path, topics: dict[str, str | TopicType], *,
-                 compression: str = "zstd", overwrite: bool = False, distro: str = "jazzy"):
-        self.path, self.overwrite, self.distro = Path(path), overwrite, distro
+                 compression: str = "zstd", overwrite: bool = False):
+        self.path, self.overwrite = Path(path), overwrite
         if self.path.name in ("", ".."):  # a name of its own, to be renamed to
             self.path = Path(os.path.abspath(path))
         if compression not in COMPRESSIONS:
@@ -293,7 +293,7 @@ class BagWriter:
             digest = self._store.hash_rihs01(kind.msgtype)
         profiles = dump_qos_v9(offered_qos(kind.latched))
         # rosbags drops a topic whose QoS differs between file and metadata: one source for both.
-        qos = kind.qos or _yaml(profiles).strip()
+        qos = kind.qos or yaml_text(profiles).strip()
         if kind.msgtype not in self._schemas:
             self._schemas[kind.msgtype] = self._writer.register_schema(
                 kind.msgtype, kind.encoding, definition.encode())
@@ -309,10 +309,7 @@ class BagWriter:
         """Append one serialised message; ``stamp_ns`` is its log time."""
         self._writer.add_message(self._ids[topic], stamp_ns, data, stamp_ns)
         self.counts[topic] += 1
-        if stamp_ns < self.first:
-            self.first = stamp_ns
-        if stamp_ns > self.last:
-            self.last = stamp_ns
+        self.first, self.last = min(self.first, stamp_ns), max(self.last, stamp_ns)
 
     def write_many(self, channels: dict[str, tuple[np.ndarray, np.ndarray]]) -> None:
         """Append messages of topics: rising log times (m,) ns and messages (m, length) uint8.
@@ -343,7 +340,7 @@ class BagWriter:
             return
         try:
             metadata = self._metadata()
-            self._writer.add_metadata("rosbag2", {"serialized_metadata": _yaml(metadata)})
+            self._writer.add_metadata("rosbag2", {"serialized_metadata": yaml_text(metadata)})
             self._writer.finish()
             self._stream.flush()
             os.fsync(self._stream.fileno())
@@ -351,7 +348,7 @@ class BagWriter:
             self._stream = None
             if not self.single:
                 (self.temporary / "metadata.yaml").write_text(
-                    _yaml({"rosbag2_bagfile_information": metadata}), encoding="utf-8")
+                    yaml_text({"rosbag2_bagfile_information": metadata}), encoding="utf-8")
             self._take_the_name()
         except OSError as problem:
             raise InputError(f"{self.path}: cannot write bag: {problem.strerror}; what was "
@@ -397,10 +394,7 @@ class BagWriter:
         return self
 
     def __exit__(self, kind, value, traceback) -> None:
-        if kind is None:
-            self.close()
-        else:
-            self.abort()
+        self.close() if kind is None else self.abort()
 
     @staticmethod
     def _remove(path: Path) -> None:
@@ -424,12 +418,12 @@ class BagWriter:
             "relative_file_paths": [name],
             "files": [{"path": name, "starting_time": start, "duration": duration,
                        "message_count": count}],
-            "custom_data": None, "ros_distro": self.distro}
+            "custom_data": None, "ros_distro": "jazzy"}
 
 
-def _yaml(tree) -> str:
+def yaml_text(tree) -> str:
+    """Return plain data as YAML, without anchors."""
     from ruamel.yaml import YAML
-
     yaml, text = YAML(typ="safe"), StringIO()
     yaml.default_flow_style = False
     yaml.representer.ignore_aliases = lambda data: True

@@ -47,20 +47,13 @@ STAMP = (Want("header.stamp.sec"), Want("header.stamp.nanosec"))
 
 @dataclass
 class Layout:
-    """Places in one message, and in all that are alike.
+    """Places in one message, and in all that are alike."""
 
-    Attributes
-    ----------
-    template : the message.
-    places : want -> (byte offset from the encapsulation on, dtype); absent if not in there.
-    positions : byte offsets of everything that fixes the layout.
-    names : of the joints, where the message has names.
-    """
-
-    template: bytes
+    template: bytes  # the message
+    # Byte offset from the encapsulation on, and type, of each want that is in there.
     places: dict[Want, tuple[int, np.dtype]] = field(default_factory=dict)
-    positions: list[int] = field(default_factory=lambda: [0, 1])
-    names: list[str] = field(default_factory=list)
+    positions: list[int] = field(default_factory=lambda: [0, 1])  # bytes that fix the layout
+    names: list[str] = field(default_factory=list)  # of the joints, where the message has names
 
     @cached_property
     def _fixed(self) -> tuple[np.ndarray, np.ndarray]:
@@ -75,11 +68,8 @@ class Layout:
 
     def numbers(self, table: np.ndarray, want: Want) -> np.ndarray:
         """Return a number of each message, (n,), a view; ``table`` (n, length) uint8."""
-        return _column(table, *self.places[want])
-
-
-def _column(table: np.ndarray, offset: int, dtype: np.dtype) -> np.ndarray:
-    return np.ndarray((len(table),), dtype, table, offset, (table.shape[1],))
+        offset, dtype = self.places[want]
+        return np.ndarray((len(table),), dtype, table, offset, (table.shape[1],))
 
 
 def steps_of(path: str) -> list[tuple[str, int | None]]:
@@ -250,9 +240,9 @@ def types_of(msgtype: str, encoding: str, definition: bytes) -> dict:
     """
     text = definition.decode("utf-8", errors="replace")
     if text.strip():
-        parse = get_types_from_idl if "idl" in encoding else get_types_from_msg
         try:
-            types = parse(text) if "idl" in encoding else parse(text, msgtype)
+            types = (get_types_from_idl(text) if "idl" in encoding
+                     else get_types_from_msg(text, msgtype))
             if _complete(types, msgtype):
                 return types
         except UNREADABLE:
@@ -268,30 +258,19 @@ def _complete(types: dict, msgtype: str) -> bool:
     if msgtype not in types or not any(
             name != "structure_needs_at_least_one_member" for name, _ in types[msgtype][1]):
         return False
-    for _, kind in types[msgtype][1]:
-        if kind[0] in (Nodetype.ARRAY, Nodetype.SEQUENCE):
-            kind = kind[1][0]
-        if kind[0] == Nodetype.NAME and not _complete(types, kind[1]):
-            return False
-    return True
+    kinds = [kind[1][0] if kind[0] in (Nodetype.ARRAY, Nodetype.SEQUENCE) else kind
+             for _, kind in types[msgtype][1]]
+    return all(kind[0] != Nodetype.NAME or _complete(types, kind[1]) for kind in kinds)
 
 
 @dataclass(frozen=True)
 class Series:
-    """One channel as it was recorded.
+    """One channel as it was recorded."""
 
-    Attributes
-    ----------
-    stamp_ns : (n,) int64 stamps in recorded order: header stamps, or log times without them.
-    log_ns : (n,) int64 times at which the recorder took the messages.
-    values : (n,) float64, raw units.
-    stamped : whether ``stamp_ns`` are header stamps.
-    """
-
-    stamp_ns: np.ndarray
-    log_ns: np.ndarray
-    values: np.ndarray
-    stamped: bool
+    stamp_ns: np.ndarray  # (n,) int64 in recorded order: header stamps, or log times without them
+    log_ns: np.ndarray  # (n,) int64 times at which the recorder took the messages
+    values: np.ndarray  # (n,) float64, raw units
+    stamped: bool  # whether ``stamp_ns`` are header stamps
 
     def in_si(self, channel: Channel) -> "Series":
         """Return the channel in SI at the times at which its quantity was there."""
@@ -314,9 +293,8 @@ class TopicReader:
         self.topic, self.msgtype, self.types, self.wants = topic, msgtype, types, wants
         self.stamped = has_stamp(types, msgtype)
         self.all_wants = wants + (STAMP if self.stamped else ())
-        self.logs: list[np.ndarray] = []
-        self.columns: dict[Want, list[np.ndarray]] = {want: [] for want in self.all_wants}
-        self.present: dict[Want, list[np.ndarray]] = {want: [] for want in self.all_wants}
+        # Batch by batch: log times, values of each want, and in which messages it was.
+        self.batches: list[tuple[np.ndarray, dict[Want, np.ndarray], dict[Want, np.ndarray]]] = []
         self.unreadable = 0
         self.taken = 0
 
@@ -333,10 +311,7 @@ class TopicReader:
         for length in np.unique(lengths).tolist():
             self._read(np.lib.stride_tricks.sliding_window_view(data, length), begins,
                        np.flatnonzero(lengths == length), (values, present))
-        self.logs.append(times)
-        for want in self.all_wants:
-            self.columns[want].append(values[want])
-            self.present[want].append(present[want])
+        self.batches.append((times, values, present))
 
     def _read(self, messages: np.ndarray, begins: np.ndarray, rows: np.ndarray,
               found: tuple[dict, dict]) -> None:
@@ -370,7 +345,7 @@ class TopicReader:
     @property
     def count(self) -> int:
         """Messages so far."""
-        return self.taken + sum(len(part) for part in self.logs)
+        return self.taken + sum(len(times) for times, _, _ in self.batches)
 
     def take(self, wants: tuple[Want, ...]
              ) -> list[tuple[np.ndarray, dict[Want, np.ndarray]]] | None:
@@ -381,48 +356,54 @@ class TopicReader:
         of the wanted that comes with others of it, or holds a number that is not wanted.
         """
         if self.unreadable or not self.stamped or not all(
-                part.all() for want in STAMP for part in self.present[want]):
+                present[want].all() for want in STAMP for _, _, present in self.batches):
             return None
+        if not self.batches:
+            return [(np.empty(0, np.int64), dict.fromkeys(wants, np.empty(0)))]
+        _, values, present = self._joined()
         groups: dict[bytes, list[Want]] = {}
         for want in wants:
-            there = np.concatenate([np.empty(0, np.bool_), *self.present[want]])
-            groups.setdefault(there.tobytes(), []).append(want)
+            groups.setdefault(present[want].tobytes(), []).append(want)
         masks = [np.frombuffer(key, dtype=np.bool_) for key in groups]
         if not (np.sum(masks, axis=0) == 1).all():
             return None
         others = [want for want in self.wants if want not in wants]
-        if any(np.isfinite(part).any() for want in others for part in self.columns[want]):
+        if any(np.isfinite(values[want]).any() for want in others):
             return None
-        seconds, rest = (np.concatenate([np.empty(0, np.int64), *self.columns[want]])
-                         for want in STAMP)
-        stamps = seconds * 1_000_000_000 + rest
+        stamps = _stamps(values)
         if not stamps.all():
             return None
-        found = [(stamps[mask], {
-            want: np.concatenate([np.empty(0), *self.columns[want]])[mask] for want in group})
-            for mask, group in zip(masks, groups.values(), strict=True)]
         self.taken += len(stamps)
-        self.logs = []
-        for want in self.all_wants:
-            self.columns[want], self.present[want] = [], []
-        return found
+        self.batches = []
+        return [(stamps[mask], {want: values[want][mask] for want in group})
+                for mask, group in zip(masks, groups.values(), strict=True)]
+
+    def _joined(self) -> tuple[np.ndarray, dict[Want, np.ndarray], dict[Want, np.ndarray]]:
+        """Return all batches as one, which takes their place."""
+        if len(self.batches) > 1:
+            times, values, present = zip(*self.batches, strict=True)
+            self.batches = [(np.concatenate(times), *(
+                {want: np.concatenate([one[want] for one in parts]) for want in self.all_wants}
+                for parts in (values, present)))]
+        return self.batches[0]
 
     def series(self, want: Want) -> Series | None:
         """Return what was collected, or None where no message held it or all of it is NaN."""
-        if not self.logs:
+        if not self.batches:
             return None
-        present = np.concatenate(self.present[want])
-        values = np.concatenate(self.columns[want])[present]
-        logs = np.concatenate(self.logs)[present]
+        logs, columns, present = self._joined()
+        there = present[want]
+        logs, values = logs[there], columns[want][there]
         if not np.isfinite(values).any():
             return None
-        stamps, stamped = logs, False
-        if self.stamped:
-            header = (np.concatenate(self.columns[STAMP[0]]) * 1_000_000_000
-                      + np.concatenate(self.columns[STAMP[1]]))[present]
-            if header.any():
-                stamps, stamped = header, True
-        return Series(stamps, logs, values, stamped)
+        if self.stamped and (header := _stamps(columns)[there]).any():
+            return Series(header, logs, values, True)
+        return Series(logs, logs, values, False)
+
+
+def _stamps(columns: dict[Want, np.ndarray]) -> np.ndarray:
+    """Return the header stamps, ns (n,)."""
+    return columns[STAMP[0]] * 1_000_000_000 + columns[STAMP[1]]
 
 
 def _unpack(data, begins, lengths):

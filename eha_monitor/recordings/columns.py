@@ -93,10 +93,10 @@ def _map_of(values) -> mmap.mmap | None:
     return base if isinstance(base, mmap.mmap) else None
 
 
-def pieces(rows: int, size: int | None = None, first: int = 0) -> Iterator[tuple[int, int]]:
+def pieces(rows: int, size: int | None = None) -> Iterator[tuple[int, int]]:
     """Yield first and behind-last row of each piece; of one piece where the rows are few."""
-    size = size or (rows - first if rows <= IN_MEMORY else PIECE)
-    for start in range(first, rows, max(size, 1)):
+    size = size or (rows if rows <= IN_MEMORY else PIECE)
+    for start in range(0, rows, max(size, 1)):
         yield start, min(start + size, rows)
 
 
@@ -144,7 +144,6 @@ class Table:
     """Rows of several columns, taken piece by piece, such as a filter writes them."""
 
     def __init__(self):
-        self._first: list[np.ndarray] = []
         self._columns: list[Column] = []
         self.rows = 0
 
@@ -158,22 +157,14 @@ class Table:
         return table
 
     def append(self, block: np.ndarray) -> None:
-        """Add rows; ``block`` (columns, m), which becomes the table's own."""
-        if not self._columns and not self._first:
-            self._first = [block]
-        else:
-            if not self._columns:
-                self._columns = [Column() for _ in block]
-            for before in (*self._first, block):
-                for column, values in zip(self._columns, before, strict=True):
-                    column.append(values)
-            self._first = []
+        """Add rows; ``block`` (columns, m)."""
+        self._columns = self._columns or [Column() for _ in block]
+        for column, values in zip(self._columns, block, strict=True):
+            column.append(values)
         self.rows += block.shape[1]
 
     def values(self) -> list[np.ndarray]:
         """Return each column, (rows,)."""
-        if self._first:
-            return list(self._first[0])
         return [column.values() for column in self._columns]
 
     def only(self) -> np.ndarray:

@@ -4,9 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from eha_monitor.recordings.columns import blocks, let_go, spans_of
+from eha_monitor.recordings.columns import any_of, blocks, let_go, spans_of
 
-BLOCK = 100_000  # samples worked on at once where memory would grow with the recording
 FILTER = 21  # samples of the running median under little jitter
 LONG_FILTER = 101  # and under much
 MUCH = 0.4  # spread of the steps, in steps, that is much jitter
@@ -42,11 +41,9 @@ def window_for(spread: float) -> int:
 
 
 def running_median(values: np.ndarray, width: int) -> np.ndarray:
-    """Median over ``width`` neighbours, in blocks, since the windows are copied; (n,)."""
-    padded = np.pad(values, width // 2, "symmetric")
-    windows = np.lib.stride_tricks.sliding_window_view(padded, width)
-    return np.concatenate([np.median(windows[start:start + BLOCK], axis=1)
-                           for start in range(0, len(values), BLOCK)])
+    """Median over ``width`` neighbours, an odd number, mirrored at both ends; (n,)."""
+    from scipy.ndimage import median_filter
+    return median_filter(values, width, mode="reflect")
 
 
 def repair(stamps: np.ndarray, label: str, said: list[str]) -> tuple[np.ndarray, bool]:
@@ -83,11 +80,11 @@ def _drop_wild(stamps, keep, step, label, said):
         return keep
     shifted = (stamps[keep] - stamps[keep[0]]).astype(float)
     far = np.abs(shifted - running_median(shifted, 5)) > max(1e9, 100 * step)
-    if far.any() and far.sum() < 0.1 * len(keep):
-        said.append(f"{label}: {_samples(int(far.sum()))} with a stamp far off its neighbours' "
-                    "dropped")
-        return keep[~far]
-    return keep
+    if not 0 < far.sum() < 0.1 * len(keep):
+        return keep
+    said.append(f"{label}: {_samples(int(far.sum()))} with a stamp far off its neighbours' "
+                "dropped")
+    return keep[~far]
 
 
 def _put_in_order(stamps, keep, step, label, said):
@@ -210,23 +207,16 @@ ROUGH = 0.2  # spread of the steps, in steps, above which a missing sample hides
 
 @dataclass(frozen=True)
 class Grid:
-    """How stamps lie on a uniform grid.
+    """How stamps lie on a uniform grid."""
 
-    Attributes
-    ----------
-    start, step : first grid point and spacing, s.
-    index : (n,) int64 place of each sample on the grid; of no use when ``mode`` is
-        ``instants``.
-    mode : ``exact`` (stamps on the grid), ``snapped`` (stamps jitter about it), ``instants``
-        (samples were taken at their uneven stamps).
-    jitter : root mean square of the stamps' distance from the grid, or of the steps' distance
-        from whole samples where the mode is ``instants``, s.
-    """
-
-    start: float
-    step: float
-    index: np.ndarray
+    start: float  # first grid point, s
+    step: float  # s
+    index: np.ndarray  # (n,) int64 place of each sample; of no use when ``mode`` is ``instants``
+    # ``exact`` (stamps on the grid), ``snapped`` (stamps jitter about it), ``instants`` (samples
+    # were taken at their uneven stamps).
     mode: str
+    # Root mean square of the stamps' distance from the grid, or of the steps' distance from whole
+    # samples where the mode is ``instants``, s.
     jitter: float = 0.0
 
     def times(self, t: np.ndarray) -> np.ndarray:
@@ -253,9 +243,8 @@ def fit_grid(t: np.ndarray, values: np.ndarray, nominal: float) -> Grid:
     usual = float(lower_median(steps))
     rising = bool((steps > 0).all())
     spread = deviation(steps) / usual
-    step = usual if spread > ROUGH else float(
-        np.mean(steps[np.abs(steps - usual) < 0.5 * usual]))
-    target = _simple(usual, nominal)
+    step = usual if spread > ROUGH else float(np.mean(steps[np.abs(steps - usual) < 0.5 * usual]))
+    target = simple_step(usual, nominal)
     near = abs(step / target - 1) <= SNAP
     for candidate in (([target] if near else []) + [usual, step]) * rising:
         grid = _exact(t, candidate, refine=candidate != target)
@@ -286,7 +275,7 @@ def fit_grid(t: np.ndarray, values: np.ndarray, nominal: float) -> Grid:
                 float(np.sqrt(np.mean(uneven ** 2))))
 
 
-def _simple(usual: float, nominal: float) -> float:
+def simple_step(usual: float, nominal: float) -> float:
     """Return the multiple or whole part of ``nominal`` that is nearest."""
     ratio = min(max(usual / nominal, 1e-9), 1e9)
     return nominal * round(ratio) if ratio >= 1 else nominal / round(1 / ratio)
@@ -381,8 +370,7 @@ def _sharpen(ahead: np.ndarray, missing: np.ndarray, width: int) -> np.ndarray:
     return np.maximum.accumulate(out)
 
 
-def _share_of_jitter(t: np.ndarray, index: np.ndarray, values: np.ndarray,
-                     step: float) -> float:
+def _share_of_jitter(t: np.ndarray, index: np.ndarray, values: np.ndarray, step: float) -> float:
     """Return how much of the stamps' unevenness the quantity took part in: 1 all, 0 none.
 
     Where a step in time is longer by dt - n step, a quantity that moves at speed v goes further
@@ -418,20 +406,15 @@ def tell_gaps(columns: dict[str, np.ndarray], step: float, said: list[str]) -> N
     """Say where rows are missing: of everything, then of single channels beyond that."""
     names, values = list(columns), tuple(columns.values())
 
-    def unseen():
-        for start, _, rows in blocks(*values):
-            yield start, ~np.isfinite(np.stack(rows)).any(axis=0)
+    def spans(test):
+        return spans_of((start, test(np.isfinite(np.stack(rows))))
+                        for start, _, rows in blocks(*values))
 
-    def lacking(place: int):
-        for start, _, rows in blocks(*values):
-            finite = np.isfinite(np.stack(rows))
-            yield start, ~finite[place] & finite.any(axis=0)
-
-    _tell_spans(*spans_of(unseen()), "no data", step, said)
+    _tell_spans(*spans(lambda finite: ~finite.any(axis=0)), "no data", step, said)
     for place, name in enumerate(names):
-        if not any(bool(np.isnan(rows[0]).any()) for _, _, rows in blocks(values[place])):
+        if not any_of((values[place],), np.isnan):
             continue
-        starts, stops = spans_of(lacking(place))
+        starts, stops = spans(lambda finite, place=place: ~finite[place] & finite.any(axis=0))
         long = (stops - starts) * step > max(GAP * step, 0.01)  # single NaN have been counted
         _tell_spans(starts[long], stops[long], f"{name}: no data", step, said)
     let_go(*values)

@@ -15,12 +15,11 @@ import numpy as np
 from eha_monitor.errors import InputError, one_line
 from eha_monitor.recordings import align as whole
 from eha_monitor.recordings import cdr
-from eha_monitor.recordings.align import align
+from eha_monitor.recordings.align import align, released
 from eha_monitor.recordings.bag import Bag
-from eha_monitor.recordings.between import released
 from eha_monitor.recordings.cdr import Series, TopicReader, Want, types_of
 from eha_monitor.recordings.columns import PIECE, Column
-from eha_monitor.recordings.grid import JITTER, Grid, fit_grid, repair, tell_gaps
+from eha_monitor.recordings.grid import JITTER, Grid, fit_grid, repair, simple_step, tell_gaps
 from eha_monitor.recordings.recording import CHANNELS, LARGEST, Recording
 from eha_monitor.settings.channels import DEFAULT_CHANNELS, Channel
 from eha_monitor.settings.monitor import Settings
@@ -77,7 +76,10 @@ class Stream:
         for name in self.lanes:
             fast.setdefault(self.begun[name][0], []).append(name)
         for reader, names in fast.items():
-            self._take(reader, names)
+            wants = tuple(dict.fromkeys(self.begun[name][1] for name in names))
+            for stamps, columns in self._drained(reader, wants):
+                self._place(stamps, columns, [
+                    name for name in names if self.begun[name][1] in columns])
 
     def begin(self) -> None:
         """Find the grid on the first batch, and which channels keep to it."""
@@ -95,9 +97,7 @@ class Stream:
         self.origin = int(leader.stamp_ns[0])
         nominal = self.settings.rig.sample_time
         grid = fit_grid((leader.stamp_ns - self.origin) * 1e-9, leader.values, nominal)
-        ratio = grid.step / nominal
-        simple = nominal * round(ratio) if ratio >= 1 else nominal / round(1 / ratio)
-        if grid.mode != "exact" or grid.step != simple:
+        if grid.mode != "exact" or grid.step != simple_step(grid.step, nominal):
             raise NotEvenError
         for name, one in series.items():
             t = (one.stamp_ns - self.origin) * 1e-9
@@ -111,26 +111,17 @@ class Stream:
                 raise NotEvenError
         self.grid, self.begun = grid, found
 
-    def _check(self, series: Series) -> None:
+    @staticmethod
+    def _check(series: Series) -> None:
         if not series.stamped or (np.diff(series.stamp_ns) <= 0).any():
             raise NotEvenError
-
-    def _shift(self, name: str) -> int:
-        return round(self.settings.channels[name].delay * 1e9)
-
-    def _take(self, reader: TopicReader, names: list[str]) -> None:
-        for stamps, columns in self._drained(
-                reader, tuple(dict.fromkeys(self.begun[name][1] for name in names))):
-            if len(stamps):
-                self._place(stamps, columns, [
-                    name for name in names if self.begun[name][1] in columns])
 
     def _place(self, stamps: np.ndarray, columns: dict[Want, np.ndarray], names: list[str]
                ) -> None:
         """Put channels that share their stamps on the grid."""
         for name in names:
             channel, lane = self.settings.channels[name], self.lanes[name]
-            t = (stamps - self._shift(name) - self.origin) * 1e-9
+            t = (stamps - round(channel.delay * 1e9) - self.origin) * 1e-9
             place = (t - self.grid.start) / self.grid.step
             index = np.round(place)
             lane.off += int(np.count_nonzero(np.abs(place - index) > JITTER))
@@ -150,13 +141,12 @@ class Stream:
 
     def _drained(self, reader: TopicReader, wants: tuple[Want, ...]
                  ) -> list[tuple[np.ndarray, dict[Want, np.ndarray]]]:
-        """Return the stamps and columns that a reader has collected, and empty it."""
+        """Return the stamps and columns that a reader has collected, if any, and empty it."""
         taken = reader.take(wants)
         if taken is None:
             raise NotEvenError
+        taken = [group for group in taken if len(group[0])]
         for stamps, columns in taken:
-            if not len(stamps):
-                continue
             before = max(self.last.get((reader, want), int(stamps[0]) - 1) for want in columns)
             steps = np.diff(stamps, prepend=before)
             if (steps <= 0).any() or steps.max() > LONGEST_GAP_S * 1e9:
@@ -198,18 +188,17 @@ class Stream:
         slow = {}
         for name, (reader, want) in found.items():
             lane = self.lanes.get(name)
-            if lane is None:
-                slow[name] = self._kept(name, reader, want, source, said)
-            elif lane.missing:
+            if lane is None and (series := reader.series(want)) is not None:
+                slow[name] = whole.within_range(series.in_si(self.settings.channels[name]), name,
+                                                reader.topic, source, said)
+            elif lane is not None and lane.missing:
                 said.append(f"{name}: {lane.missing} of {lane.count} values are NaN")
-        slow = {name: series for name, series in slow.items() if series is not None}
         whole.tell_grid(grid, found["x"][0].topic, self.settings.rig.sample_time, said)
         columns = {}
         for name, lane in self.lanes.items():
             lane.column.fill(points)
-            values = lane.column.values(points)
             if lane.missing < lane.count:
-                columns[name] = values
+                columns[name] = lane.column.values(points)
         for name, series in slow.items():
             values = self._interpolated(series, found[name][0].topic, points, name, said)
             if values is not None:
@@ -220,13 +209,6 @@ class Stream:
         return Recording(grid.step, columns,
                          max(0, self.origin + round(grid.start * 1e9)), source,
                          tuple(dict.fromkeys(map(one_line, said))))
-
-    def _kept(self, name: str, reader: TopicReader, want: Want, source: str,
-              said: list[str]) -> Series | None:
-        """Return a channel that was not put on the grid as it came, in SI."""
-        series = reader.series(want)
-        return series and whole.within_range(series.in_si(self.settings.channels[name]), name,
-                                             reader.topic, source, said)
 
     def _interpolated(self, series: Series, label: str, points: int, name: str,
                       said: list[str]) -> np.ndarray | None:
@@ -284,8 +266,7 @@ def _read(path: str | Path, settings: Settings, streamed: bool) -> Recording:
     if collector.stream is not None:
         recording = collector.stream.finish(str(path), losses, found)
     else:
-        recording = align(collector.channels(found), settings,
-                          source=str(path), losses=losses)
+        recording = align(collector.channels(found), settings, source=str(path), losses=losses)
     if any(file.truncated_at is not None for file in bag.files):
         recording = replace(recording, losses=tuple(
             f"{loss}: {recording.duration:.3f} s recovered" if "truncated at byte" in loss
@@ -440,7 +421,8 @@ class Collector:
                 if topic in self.unfit and self.unfit[topic] not in unfit:
                     unfit.append(self.unfit[topic])
                 continue
-            if self._on_grid(name) or reader.series(want) is not None:
+            on_grid = self.stream is not None and name in self.stream.lanes
+            if on_grid or reader.series(want) is not None:
                 found[name] = (reader, want)
         for reader in self.readers.values():
             if reader.unreadable:
@@ -452,9 +434,6 @@ class Collector:
             raise InputError(f"{source}: {'; '.join(absent)}, it has {self._seen()}")
         losses.extend(unfit)
         return found
-
-    def _on_grid(self, name: str) -> bool:
-        return self.stream is not None and name in self.stream.lanes
 
     def channels(self, found: Sources) -> dict[str, tuple[Series, str]]:
         """Return channel -> series in SI and its topic."""
@@ -482,15 +461,13 @@ class Collector:
         if not seen:
             lost = f" ({losses[0]})" if losses else ""
             return f"{source}: the bag holds no message{lost}, expected {', '.join(wanted)}"
-        read = list(self.readers)
-        if read:
-            reader = self.readers[read[0]]
+        if self.readers:
+            reader = next(iter(self.readers.values()))
+            where = f"{source}: {reader.topic}"
             if reader.count == reader.unreadable:
-                return (f"{source}: {read[0]}: no message could be decoded as "
-                        f"{reader.msgtype}")
-            wants = ", ".join(f"{w.name}.{w.field}" if w.name else w.field
-                              for w in reader.wants)
-            return f"{source}: {read[0]}: no finite value in any message, expected {wants}"
+                return f"{where}: no message could be decoded as {reader.msgtype}"
+            wants = ", ".join(f"{w.name}.{w.field}" if w.name else w.field for w in reader.wants)
+            return f"{where}: no finite value in any message, expected {wants}"
         return (f"{source}: expected one of the topics {', '.join(wanted)}; the bag has "
                 f"{self._seen()}")
 

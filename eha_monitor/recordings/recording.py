@@ -85,21 +85,13 @@ class Recording:
 
     Every number in it lies where a sensor can show it (:data:`LIMITS`): whoever makes one of
     channels that run away gets an InputError, and what was left out stands in ``losses``.
-
-    Attributes
-    ----------
-    sample_time : spacing of the grid, s.
-    channels : name -> (n,) float64; NaN where nothing was measured.  A channel that was not
-        recorded at all is absent.
-    start_ns : absolute time of the first sample, ns since the epoch.
-    source : file that it was read from.
-    losses : sentences about everything that was lost or repaired on the way here.
     """
 
-    sample_time: float
-    channels: dict[str, np.ndarray]
-    start_ns: int = 0
-    source: str = ""
+    sample_time: float  # spacing of the grid, s
+    channels: dict[str, np.ndarray]  # those recorded: (n,) float64, NaN where nothing was measured
+    start_ns: int = 0  # absolute time of the first sample, ns since the epoch
+    source: str = ""  # file that it was read from
+    # Sentences about what was lost or repaired till here.
     losses: tuple[str, ...] = field(default=())
 
     def __post_init__(self):
@@ -182,19 +174,12 @@ def rows_of(recording: Recording, start: int, stop: int) -> Recording:
 
 @dataclass(frozen=True)
 class ChannelFinding:
-    """One thing that the channels of a recording say about their configuration.
+    """One thing that the channels of a recording say about their configuration."""
 
-    Attributes
-    ----------
-    finding : a sentence with its evidence in numbers.
-    kind : ``swapped``, ``sign``, ``unit``, ``offset`` or ``hold``.
-    channels : the channels, or keys of the rig, that it concerns.
-    correction : fragment of a config that mends it, by section; empty where no key does.
-    """
-
-    finding: str
+    finding: str  # a sentence with its evidence in numbers
     kind: Kind
-    channels: tuple[str, ...]
+    channels: tuple[str, ...]  # the channels, or keys of the rig, that it concerns
+    # Fragment of a config that mends it, by section; empty where no key does.
     correction: dict[str, Any] = field(default_factory=dict)
 
 

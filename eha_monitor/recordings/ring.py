@@ -30,15 +30,11 @@ _LARGEST_STREAM = 2**16
 
 @dataclass(frozen=True)
 class Chunk:
-    """Consecutive messages, compressed.
+    """Consecutive messages, compressed."""
 
-    ``number`` counts the chunks of the ring from 0; ``began_s`` is on the monotonic clock, the
-    stamps are log times in ns.
-    """
-
-    number: int
-    began_s: float
-    first_ns: int
+    number: int  # counts the chunks of the ring from 0
+    began_s: float  # on the monotonic clock
+    first_ns: int  # log times
     last_ns: int
     count: int
     data: bytes
@@ -53,8 +49,7 @@ class Chunk:
             stamps = np.frombuffer(raw, "<i8", count, at).tolist()
             ends = np.cumsum(np.frombuffer(raw, "<u4", count, at + 8 * count)) + at + 12 * count
             starts = [at + 12 * count, *ends.tolist()]
-            found += zip((stream,) * count, stamps, map(
-                slice, starts, starts[1:]), strict=False)
+            found += zip((stream,) * count, stamps, map(slice, starts, starts[1:]), strict=False)
             at = starts[-1]
         for stream, stamp_ns, place in sorted(found, key=lambda one: one[1]):
             yield stream, stamp_ns, raw[place]
@@ -160,17 +155,19 @@ class Ring:
     def messages(self) -> int:
         """Messages in memory."""
         with self._lock:
-            young = self._chunks[0].number if self._chunks else self._closed
-            return (self._open_count + sum(c.count for c in self._chunks)
-                    + sum(c.count for c in self._held if c.number < young))
+            return self._open_count + sum(c.count for c in (*self._chunks, *self._old()))
 
     @property
     def megabytes(self) -> float:
         """Memory of the messages, MB."""
         with self._lock:
-            young = self._chunks[0].number if self._chunks else self._closed
-            held = sum(len(c.data) for c in self._held if c.number < young)
+            held = sum(len(c.data) for c in self._old())
             return (self._bytes + held + len(self._open)) / 1e6
+
+    def _old(self) -> list[Chunk]:
+        """Return what has aged and is still held."""
+        young = self._chunks[0].number if self._chunks else self._closed
+        return [chunk for chunk in self._held if chunk.number < young]
 
     def _close(self, now: float) -> None:
         # A copy of its own size: what zstandard returns holds the memory of the uncompressed.
@@ -200,21 +197,15 @@ REST_S = 0.003
 
 @dataclass(frozen=True)
 class Saved:
-    """What came of one attempt.
+    """What came of one attempt."""
 
-    ``path`` is the bag; ``problem`` is a sentence and says why there is none; ``first_ns``,
-    ``last_ns`` and ``count`` tell what was, or was to be, written; ``dropped`` counts the messages
-    in between that went while earlier attempts failed; ``left_out`` names topics of a type that
-    is not known.
-    """
-
-    path: Path
-    first_ns: int
+    path: Path  # of the bag
+    first_ns: int  # of what was, or was to be, written
     last_ns: int
     count: int
-    dropped: int = 0
-    problem: str | None = None
-    left_out: tuple[str, ...] = ()
+    dropped: int = 0  # messages in between that went while earlier attempts failed
+    problem: str | None = None  # a sentence that says why there is no bag
+    left_out: tuple[str, ...] = ()  # topics of a type that is not known
 
     @property
     def span_s(self) -> float:
@@ -263,9 +254,7 @@ class Saver:
     def start(self, since_ns: int | None = None) -> None:
         """Begin to write all that the ring has; not while :attr:`busy`.
 
-        Parameters
-        ----------
-        since_ns : write only what came from this log time on; nothing is held for that.
+        ``since_ns`` : write only what came from this log time on; nothing is held for that.
         """
         whole = since_ns is None
         chunks = self.ring.hold() if whole else self.ring.since(since_ns)

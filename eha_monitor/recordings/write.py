@@ -79,15 +79,12 @@ def _topics(store, channels):
     """Yield (topic, type, template message, want -> channel) for what was recorded."""
     header = store.types["std_msgs/msg/Header"](
         stamp=store.types["builtin_interfaces/msg/Time"](sec=0, nanosec=0), frame_id="")
-    joints = {"piston": {"position": "x", "velocity": "v", "effort": "force"},
-              "pump": {"velocity": "omega"}}
-    joint = _joints(store, header, channels, joints)
-    if joint:
-        yield "joint_states", JOINT, *joint
-    joint = _joints(store, header, channels, {"piston": {"position": "x_d"},
-                                              "pump": {"velocity": "omega_d"}})
-    if joint:
-        yield "command", JOINT, *joint
+    for topic, joints in (
+            ("joint_states", {"piston": {"position": "x", "velocity": "v", "effort": "force"},
+                              "pump": {"velocity": "omega"}}),
+            ("command", {"piston": {"position": "x_d"}, "pump": {"velocity": "omega_d"}})):
+        if joint := _joints(store, header, channels, joints):
+            yield topic, JOINT, *joint
     for topic, msgtype, field, channel in (
             ("pressure/chamber_1", PRESSURE, "fluid_pressure", "p1"),
             ("pressure/chamber_2", PRESSURE, "fluid_pressure", "p2"),
@@ -178,10 +175,8 @@ class ChannelWriter:
         return self
 
     def __exit__(self, kind, value, traceback) -> None:
-        if kind is not None:  # Ctrl-C too: unlike a live recording, these can be made again
-            self._bag.discard()
-        else:
-            self._bag.close()
+        # After Ctrl-C too: unlike a live recording, these can be made again.
+        self._bag.close() if kind is None else self._bag.discard()
 
 
 def write_recording(path: str | Path, recording: Recording | dict[str, np.ndarray],

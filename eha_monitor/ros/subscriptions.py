@@ -18,7 +18,7 @@ from eha_monitor.errors import InputError
 from eha_monitor.health.overload import LoadWatch
 from eha_monitor.live.faults import MIXED
 from eha_monitor.live.rows import RowAligner
-from eha_monitor.recordings.dating import Dating
+from eha_monitor.recordings.align import Dating
 from eha_monitor.ros.decoding import Stream, TopicReader
 from eha_monitor.ros.keeper import Keeper
 from eha_monitor.ros.topics import INPUT_QOS, Topic, crowd

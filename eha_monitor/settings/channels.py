@@ -27,6 +27,7 @@ _MEANING = {"x": ("m", "piston position"), "v": ("m/s", "piston velocity"),
 CHANNELS = tuple(_MEANING)
 CHANNEL_WORDS = {name: words.partition(",")[0] for name, (_, words) in _MEANING.items()}
 CHANNEL_UNITS = {name: unit for name, (unit, _) in _MEANING.items()}
+CHANNEL_ABOUT = {name: f"[{unit}] {words}" for name, (unit, words) in _MEANING.items()}
 
 # Spellings of headers and data sheets, in several languages, for pint.  "1/min" of a shaft are
 # revolutions, which pint would take for radians.
@@ -95,7 +96,6 @@ def unit_of(text: str) -> Unit:
     if not text:
         return NO_UNIT
     import pint  # slow to import, and needed only where a map names units
-
     registry = pint.get_application_registry()
     if text.strip().casefold() in _SHARES:
         raise ValueError("per cent of full scale is not a unit: give the unit of the full scale, "
@@ -146,7 +146,6 @@ def check_unit(channel: str, unit: str, rotary: bool) -> None:
     if not unit:
         return
     import pint
-
     wanted, words = (ROTARY if rotary else LINEAR)[channel]
     try:
         found = unit_of(unit)
@@ -191,8 +190,7 @@ class Column(Section, Measured):
         None, allow_inf_nan=False, description="scale of cells below zero, if different: a pump "
                                                "whose valves switch it from one piston area to "
                                                "the other")
-    delay: Si("s", "delay of the row relative to the quantity",
-              possible=(1e-9, 2.0)) = 0.0
+    delay: Si("s", "delay of the row relative to the quantity", possible=(1e-9, 2.0)) = 0.0
 
     @property
     def negative_gain(self) -> float:
@@ -220,12 +218,6 @@ class Table(Section):
         {}, description="channel <- column, by channel")
 
 
-def channel_about(name: str) -> str:
-    """Return unit and meaning of a channel, ``[Pa] pressure of chamber 1, absolute ...``."""
-    unit, words = _MEANING[name]
-    return f"[{unit}] {words}"
-
-
 class Channel(Section, Measured):
     """Where a channel comes from: scale * raw + offset is in ``unit``, taken ``delay`` earlier."""
 
@@ -238,8 +230,7 @@ class Channel(Section, Measured):
                       "gauge; empty: SI")
     scale: float = Field(1.0, allow_inf_nan=False, description="of unit, per raw unit, not 0")
     offset: float = Field(0.0, allow_inf_nan=False, description="in unit, at raw zero")
-    delay: Si("s", "delay of the stamp relative to the quantity",
-              possible=(1e-9, 2.0)) = 0.0
+    delay: Si("s", "delay of the stamp relative to the quantity", possible=(1e-9, 2.0)) = 0.0
 
     @field_validator("scale")
     @classmethod

@@ -89,7 +89,6 @@ def text_tree(text: str, path: Path | str):
     """Return the tree of a YAML text; whatever the parser raises is one line with the file."""
     from ruamel.yaml import YAML  # YAML 1.2, where 6e8 is a number
     from ruamel.yaml.error import YAMLError
-
     try:
         return YAML(typ="safe").load(text)
     except Exception as problem:  # beside its own errors there were KeyError and AssertionError
@@ -204,8 +203,7 @@ def _one_line(model: type[BaseModel], problem: ValidationError) -> str:
     unit = f" in {unit}" if unit and unit != "1" else ""
     words = _WORDS.get(error["type"])
     if words:
-        text = words.format(unit=unit, input=reprlib.repr(error["input"]),
-                            **error.get("ctx", {}))
+        text = words.format(unit=unit, input=reprlib.repr(error["input"]), **error.get("ctx", {}))
     else:
         text = error["msg"].removeprefix("Value error, ")
         text = text[0].lower() + text[1:]

@@ -5,11 +5,11 @@ from typing import Annotated, Literal
 from pydantic import BeforeValidator, Field, create_model, model_validator
 
 from eha_monitor.settings.channels import (
+    CHANNEL_ABOUT,
     CHANNELS,
     DEFAULT_CHANNELS,
     Channel,
     Table,
-    channel_about,
     check_unit,
     fill_channels,
 )
@@ -116,8 +116,7 @@ class StageTwo(Section):
     prior_stddev: Si("Pa", "standard deviation of the prior", gt=0) = 1e9
     largest: Si("Pa", "above the modulus of the oil itself; a larger estimate counts as diverged",
                 gt=0, possible=(1e5, 1e12)) = 5e9
-    damping_stddev: Si("N·s/m", "standard deviation of B if stage one provides none",
-                       gt=0) = 100.0
+    damping_stddev: Si("N·s/m", "standard deviation of B if stage one provides none", gt=0) = 100.0
     acceleration_noise: Si("m/s²", "unmodelled white acceleration on each sample", ge=0) = 0.0
 
 
@@ -142,8 +141,7 @@ class Limits(Section):
         return self
 
 
-def _limits_in(unit: str, name: str, possible: tuple[float, float] | None = None
-               ) -> type[Limits]:
+def _limits_in(unit: str, name: str, possible: tuple[float, float] | None = None) -> type[Limits]:
     """Return the section of thresholds whose limits have a unit; it is pickled by its name."""
     words = {"low_error": "below this: ERROR", "low_warn": "below this: WARN",
              "high_warn": "above this: WARN", "high_error": "above this: ERROR"}
@@ -186,8 +184,7 @@ class Thresholds(Section):
 def _with_defaults(section: dict, defaults: Limits) -> dict:
     """Fill in the default limits, those left out that would not be in order with the given."""
     filled = dict(section)
-    numbers = {key: section[key] for key in LIMITS
-               if isinstance(section.get(key), int | float)}
+    numbers = {key: section[key] for key in LIMITS if isinstance(section.get(key), int | float)}
     for place, key in enumerate(LIMITS):
         default = getattr(defaults, key)
         if key in section or default is None:
@@ -267,8 +264,7 @@ class Diagnosis(Section):
                    "it. While nothing explains it, again after twice that time, and so on",
               ge=2, le=3600) = 20.0
     processor_time: Si("s", "processor time that one diagnosis may take", ge=1, le=86400) = 300.0
-    memory_gigabytes: Si("1", "address space that it may take, in 10⁹ bytes", gt=0,
-                         le=1000) = 4.0
+    memory_gigabytes: Si("1", "address space that it may take, in 10⁹ bytes", gt=0, le=1000) = 4.0
     niceness: int = Field(10, ge=0, le=19, description="how far it stands back behind other "
                                                        "processes")
     adopt: Literal["service", "automatic"] = Field(
@@ -294,8 +290,7 @@ class Settings(Section):
                                       "their defaults, but for name and field of another "
                                       "JointState topic; v and force have none where x is "
                                       "another entry than the default's; null: there is none",
-        json_schema_extra={
-            "entries": {name: channel_about(name) for name in CHANNELS}})
+        json_schema_extra={"entries": CHANNEL_ABOUT})
     table: Table = Field(Table(), description="column of a CSV or MAT file for each channel, for "
                                               "import")
     noise: NoiseLevels = Field(NoiseLevels(), description="noise levels for the filters")

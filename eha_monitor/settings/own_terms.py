@@ -98,12 +98,10 @@ def _table(name: str, given: dict) -> dict:
         if key not in given:
             raise ValueError(f"{name}.{key}: expected this key of a table, or an expression")
     times = given.get("times", "none")
-    if given["of"] not in o.OF:
-        raise ValueError(f"{name}.of: expected one of {', '.join(o.OF)}, "
-                         f"got {str(given['of'])[:40]!r}")
-    if times not in o.FACTORS:
-        raise ValueError(f"{name}.times: expected one of {', '.join(o.FACTORS)}, "
-                         f"got {str(times)[:40]!r}")
+    for key, value, known in (("of", given["of"], o.OF), ("times", times, o.FACTORS)):
+        if value not in known:
+            raise ValueError(f"{name}.{key}: expected one of {', '.join(known)}, "
+                             f"got {str(value)[:40]!r}")
     first, last, scale = (_number(name, key, given.get(key, 1.0))
                           for key in ("first", "last", "scale"))
     if not last > first:
@@ -131,10 +129,6 @@ def slot_for(entry: dict) -> np.ndarray:
         entry["last"])
     q[o.VALUES : o.VALUES + len(values)] = values
     return q
-
-
-def _superscript(unit: str) -> str:
-    return unit.replace("^2", "²").replace("^3", "³").replace("*", "·")
 
 
 def effects_field(value):
@@ -177,7 +171,7 @@ def effects_field(value):
             if (raw is None and p.default is None and some_size) or raw == math.inf == p.neutral:
                 raw = min(p.neutral, p.upper)  # a limit that is not there: its upper bound
             try:
-                number = to_si(raw, _superscript(p.unit))
+                number = to_si(raw, p.unit.replace("^2", "²").replace("^3", "³").replace("*", "·"))
             except PydanticCustomError as problem:
                 raise ValueError(f"{name}.{p.name}: {problem}") from problem
             if not isinstance(number, (int, float)) or not p.lower <= number <= p.upper:

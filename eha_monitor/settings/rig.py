@@ -170,9 +170,8 @@ class Simulation(Section):
     test_excitation: dict[str, Segment] = Field(
         {"slow": Segment(kind="sine", duration=4.0, amplitude=0.02, frequency=0.5),
          "fast": Segment(kind="sine", duration=4.0, amplitude=0.005, frequency=4.0)},
-        description="intervals that the service simulator/excite inserts once, about the "
-                    "demanded position at their start; the excitation then "
-                    "continues", min_length=1)
+        description="intervals that the service simulator/excite inserts once, about the demanded "
+                    "position at their start; the excitation then continues", min_length=1)
     faults: dict[str, Fault] = Field({}, description="parameters that change, by name")
 
 
@@ -189,9 +188,7 @@ def rounded(value: float) -> float:
 def corrected(rig: Rig, found: dict[str, float]) -> tuple[dict[str, float], dict[str, str]]:
     """Return what a rig must be changed in to have the found numbers.
 
-    Parameters
-    ----------
-    found : key of the rig -> number that a recording says, SI.
+    ``found`` : key of the rig -> number that a recording says, SI.
 
     Returns
     -------

@@ -9,13 +9,10 @@ from eha_monitor.physics.signals import OMEGA, P1, P2, SPEED
 
 # A drive that turns the position error into another speed than the config says.
 DRIVE_GAIN = Effect(
-    name="drive_gain",
-    balance="drive",
+    name="drive_gain", balance="drive",
     equation="omega = (1 + k) K_pos (x_d - x)",
     source="outer loop of the drive with another gain",
-    parameters=(
-        Parameter("k", "1", "relative error of the gain", -0.9, 10.0, 0.05),
-    ),
+    parameters=(Parameter("k", "1", "relative error of the gain", -0.9, 10.0, 0.05),),
     circuit=adds_to(s.DRIVE_GAIN),
     statement="the drive's gain is {k:+%} off the configured position gain",
     rig_check="Read the gain in the drive's parameters; measured speed over position error is "
@@ -27,13 +24,10 @@ DRIVE_GAIN = Effect(
 
 # A drive that follows its command late: inverter, motor and shaft.
 DRIVE_LAG = Effect(
-    name="drive_lag",
-    balance="drive",
+    name="drive_lag", balance="drive",
     equation="tau omega' + omega = K_pos (x_d - x)",
     source="first-order speed loop of an electric drive, Leonhard 2001, Ch. 7",
-    parameters=(
-        Parameter("tau", "s", "time constant of the drive", 0.0, 1.0, 2e-3),
-    ),
+    parameters=(Parameter("tau", "s", "time constant of the drive", 0.0, 1.0, 2e-3),),
     circuit=adds_to(s.DRIVE_LAG),
     statement="the drive follows its command with a time constant of {tau}",
     rig_check="Step the speed command with the rod free: 63 % of the speed must be there after "
@@ -68,8 +62,7 @@ def drive_saturation_starts(r):
 
 
 DRIVE_SATURATION = Effect(
-    name="drive_saturation",
-    balance="drive",
+    name="drive_saturation", balance="drive",
     equation="|omega| <= omega_max, |omega'| <= slew",
     source="speed and current limit of an electric drive, Leonhard 2001, Ch. 7",
     parameters=(
@@ -88,13 +81,10 @@ DRIVE_SATURATION = Effect(
 
 # A demanded position that reaches the drive late.
 COMMAND_DELAY = Effect(
-    name="command_delay",
-    balance="drive",
+    name="command_delay", balance="drive",
     equation="omega(t) = K_pos (x_d(t - T) - x(t))",
     source="dead time of sampling, filtering and bus",
-    parameters=(
-        Parameter("T", "s", "time from the command to the drive", 0.0, 0.1, 1e-3),
-    ),
+    parameters=(Parameter("T", "s", "time from the command to the drive", 0.0, 0.1, 1e-3),),
     circuit=adds_to(s.COMMAND_DELAY),
     statement="the command reaches the drive {T} late",
     rig_check="Log the command where it is made and where the drive takes it: compare the "
@@ -105,13 +95,10 @@ COMMAND_DELAY = Effect(
 
 # A measured position that reaches the drive late.
 FEEDBACK_DELAY = Effect(
-    name="feedback_delay",
-    balance="drive",
+    name="feedback_delay", balance="drive",
     equation="omega(t) = K_pos (x_d(t) - x(t - T))",
     source="dead time of sampling, filtering and bus",
-    parameters=(
-        Parameter("T", "s", "time from the position to the drive", 0.0, 0.1, 1e-3),
-    ),
+    parameters=(Parameter("T", "s", "time from the position to the drive", 0.0, 0.1, 1e-3),),
     circuit=adds_to(s.FEEDBACK_DELAY),
     statement="the position reaches the drive {T} late",
     rig_check="Compare the position that the drive logs with the sensor's own output on one "
@@ -128,16 +115,11 @@ def pump_flow_gain_term(s, p, m, c):
 
 
 PUMP_FLOW_GAIN = Effect(
-    name="pump_flow_gain",
-    balance="flow",
+    name="pump_flow_gain", balance="flow",
     equation="Q = D_p (1 + k) omega",
     source="flow balance with another displacement",
-    parameters=(
-        Parameter("k", "1", "relative error of the displacement", -0.9, 10.0, 0.05),
-    ),
-    term=pump_flow_gain_term,
-    adds=(SPEED,),
-    reads=(OMEGA,),
+    parameters=(Parameter("k", "1", "relative error of the displacement", -0.9, 10.0, 0.05),),
+    term=pump_flow_gain_term, adds=(SPEED,), reads=(OMEGA,),
     statement="the pump gives {k:+%} flow at every speed, against the configured displacement",
     rig_check="Turn the pump by hand for a number of turns without load: the rod's travel times "
     "its area over the angle is the displacement.",
@@ -160,15 +142,8 @@ def pump_volumetric_loss_term(s, p, m, c):
     c[SPEED] -= lost if s[OMEGA] * dp >= 0.0 else -p[1] * lost
 
 
-def pump_volumetric_loss_starts(r):
-    """Both forms; 1 % at the largest pressure difference."""
-    small = 0.01 / max(r.pressure_difference[3], 1.0)
-    return tuple({"k": small, "motoring": motoring} for motoring in (1.0, -1.0))
-
-
 PUMP_VOLUMETRIC_LOSS = Effect(
-    name="pump_volumetric_loss",
-    balance="flow",
+    name="pump_volumetric_loss", balance="flow",
     equation="Q = D_p omega (1 - k |dp|) while pumping, D_p omega (1 + motoring k |dp|) while "
     "motoring,  dp = p1 - p2",
     source="slip of a displacement machine, Wilson 1950; Merritt 1967, Sec. 4-3",
@@ -178,13 +153,12 @@ PUMP_VOLUMETRIC_LOSS = Effect(
         Parameter("motoring", "1", "1: the slip runs to the low side, also while motoring; -1: it "
                   "always takes from the speed", -1.0, 1.0, 1.0, 1.0, fitted=False),
     ),
-    term=pump_volumetric_loss_term,
-    adds=(SPEED,),
-    reads=(P1, P2, OMEGA),
+    term=pump_volumetric_loss_term, adds=(SPEED,), reads=(P1, P2, OMEGA),
     statement="the pump has a volumetric loss of {k} of pressure difference",
     rig_check="Hold the same pump speed at two loads: the rod must be slower by k times the "
     "difference in pressure.",
-    starts=pump_volumetric_loss_starts,
+    starts=lambda r: tuple({"k": 0.01 / max(r.pressure_difference[3], 1.0), "motoring": motoring}
+                           for motoring in (1.0, -1.0)),  # both forms
 )
 
 
@@ -196,16 +170,12 @@ def pump_dead_zone_term(s, p, m, c):
 
 
 PUMP_DEAD_ZONE = Effect(
-    name="pump_dead_zone",
-    balance="flow",
+    name="pump_dead_zone", balance="flow",
     equation="Q = D_p (|omega| - omega_0)+ sgn omega",
     source="dead zone, Tao, Kokotovic 1996; of a pump: Ivantysyn, Ivantysynova 2001",
-    parameters=(
-        Parameter("omega_0", "rad/s", "shaft speed below which no flow is made", 0.0, 1e4, 5.0),
-    ),
-    term=pump_dead_zone_term,
-    adds=(SPEED,),
-    reads=(OMEGA,),
+    parameters=(Parameter("omega_0", "rad/s", "shaft speed below which no flow is made", 0.0, 1e4,
+                          5.0),),
+    term=pump_dead_zone_term, adds=(SPEED,), reads=(OMEGA,),
     statement="the pump delivers no flow below {omega_0}, and the same speed is lost above it",
     rig_check="Turn the pump slowly with the rod free: the rod must not move below omega_0.",
     starts=lambda r: ({"omega_0": 0.003 * r.pump_speed[3]},),  # it shows at small speeds

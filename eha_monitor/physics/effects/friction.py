@@ -1,6 +1,7 @@
 """Friction of seals, guides and ports; how a dry friction turns over after a reversal."""
 
 import math
+from dataclasses import replace
 
 from eha_monitor.compiled import njit
 from eha_monitor.physics.effect import Effect, Parameter
@@ -14,6 +15,7 @@ EQUATION = ("F = f + t_1 e^-(v/v_d)^2 f',  df/d|x| = (F_steady - f) / z_0,  "
             "s = (1 - w) tanh(v / v_e) + w v / (v_e + |v|)")
 V_E = Parameter("v_e", "m/s", "velocity over which the sign is smoothed", 1e-6, 1.0, 1e-3, 1e-3)
 Z_0 = Parameter("z_0", "m", "displacement over which the friction reverses", 0.0, 1e-3, 4e-6, 0.0)
+Z_RIGID = replace(Z_0, upper=1.2e-5)  # a longer one is a friction of its own, presliding
 # sigma_1 = sqrt(sigma_0 M) damps the mass on its seal to half of critical (Canudas de Wit 1995,
 # Table I): t_1 = sqrt(M / sigma_0), 1 to 10 ms here.
 T_1 = Parameter("t_1", "s", "micro damping over micro stiffness of the seal", 0.0, 0.1, 2e-3, 0.0)
@@ -61,8 +63,7 @@ def dry_force(s, steady, z, t_1, v_d, m):
     fade = s[V] / v_d
     if z <= 0.0 or t_1 <= 0.0 or force == steady or abs(fade) > FADED:
         return force
-    return force + t_1 * math.exp(-fade * fade) * abs(s[V]) / max(z, RESOLVED) * (
-        steady - force)
+    return force + t_1 * math.exp(-fade * fade) * abs(s[V]) / max(z, RESOLVED) * (steady - force)
 
 
 @njit(forceinline=True)
@@ -86,31 +87,19 @@ def coulomb_friction_update(s, p, h, m):
 
 
 COULOMB_FRICTION = Effect(
-    name="coulomb_friction",
-    balance="force",
+    name="coulomb_friction", balance="force",
     equation=f"F_steady = F_c s,  {EQUATION}",
     source=f"Armstrong-Helouvry, Dupont, Canudas de Wit 1994, Eq. 1; {SOURCE}",
     parameters=(
         Parameter("F_c", "N", "Coulomb friction force", 0.0, 1e6, 20.0),
-        V_E,
-        Parameter("z_0", "m", "displacement over which the friction reverses", 0.0, 1.2e-5, 4e-6,
-                  0.0),
-        T_1,
-        V_D,
-        W,
+        V_E, Z_RIGID, T_1, V_D, W,
     ),
-    term=coulomb_friction_term,
-    adds=(FORCE,),
-    reads=(X, V),
-    update=coulomb_friction_update,
+    term=coulomb_friction_term, adds=(FORCE,), reads=(X, V), update=coulomb_friction_update,
     statement="Coulomb friction of {F_c} opposes the motion at every speed",
     rig_check="Push the depressurised rod by hand with a spring balance: the force at which it "
     "keeps creeping is F_c.",
     starts=lambda r: ({"F_c": 0.01 * r.force, **START},),
-    remembers_place=True,
-    family="dry",
-    rarity=0,
-    passive="motion",
+    remembers_place=True, family="dry", rarity=0, passive="motion",
 )
 
 
@@ -159,8 +148,7 @@ def stribeck_friction_starts(r):
 
 
 STRIBECK_FRICTION = Effect(
-    name="stribeck_friction",
-    balance="force",
+    name="stribeck_friction", balance="force",
     equation="F_steady = (F_c + F_d ((1 - h) exp(-u^delta) + h / (1 + u^2))) s,  u = |v| / v_s,  "
     f"{EQUATION}",
     source=f"Armstrong-Helouvry, Dupont, Canudas de Wit 1994, Eq. 5, F_d = F_s - F_c; {SOURCE}",
@@ -169,36 +157,26 @@ STRIBECK_FRICTION = Effect(
         Parameter("F_d", "N", "what is added to it near standstill, F_s - F_c", 0.0, 1e6, 20.0),
         Parameter("v_s", "m/s", "Stribeck velocity, over which the addition falls", 1e-6, 10.0,
                   5e-3, 5e-3),
-        V_E,
-        Z_0,
-        T_1,
-        V_D,
+        V_E, Z_0, T_1, V_D,
         Parameter("delta", "", "exponent of the fall: 1 exponential, 2 Gaussian", 0.4, 3.0, 1.0,
                   2.0),
         W,
         Parameter("h", "", "share of the fall that is rational, 1/(1 + (v/v_s)^2), with a long "
                   "tail", 0.0, 1.0, 0.25, 0.0),
     ),
-    term=stribeck_friction_term,
-    adds=(FORCE,),
-    reads=(X, V),
-    update=stribeck_friction_update,
+    term=stribeck_friction_term, adds=(FORCE,), reads=(X, V), update=stribeck_friction_update,
     statement="dry friction of {F_c} at speed rises by {F_d} below {v_s}",
     rig_check="Let the rod creep at a few speeds below v_s: the force to keep it moving must fall "
     "as the speed rises.",
     starts=stribeck_friction_starts,
-    contains=("coulomb_friction",),
-    remembers_place=True,
-    family="dry",
-    passive="motion",
+    contains=("coulomb_friction",), remembers_place=True, family="dry", passive="motion",
 )
 
 
 # Dry friction whose presliding shows: the seal bends before it slides.  The law is that of Coulomb
 # friction, with a z_0 that is a visible length.
 PRESLIDING_FRICTION = Effect(
-    name="presliding_friction",
-    balance="force",
+    name="presliding_friction", balance="force",
     equation=f"F_steady = F_c s,  {EQUATION}",
     source="Dahl 1968; the rigid limit of LuGre, Canudas de Wit, Olsson, Astrom, Lischinsky 1995, "
     "with sigma_0 = F_c / z_0",
@@ -207,25 +185,15 @@ PRESLIDING_FRICTION = Effect(
         V_E,
         Parameter("z_0", "m", "displacement over which the friction reverses", 1.2e-5, 1e-3, 4e-5,
                   4e-5),
-        T_1,
-        V_D,
-        W,
+        T_1, V_D, W,
     ),
-    term=coulomb_friction_term,
-    adds=(FORCE,),
-    reads=(X, V),
-    update=coulomb_friction_update,
-    statement="dry friction of {F_c} builds up over {z_0} of travel after each "
-    "reversal",
+    term=coulomb_friction_term, adds=(FORCE,), reads=(X, V), update=coulomb_friction_update,
+    statement="dry friction of {F_c} builds up over {z_0} of travel after each reversal",
     rig_check="Move the rod back and forth by a tenth of a millimetre: force against position is "
-              "a "
-    "loop with rounded corners, z_0 wide.",
+    "a loop with rounded corners, z_0 wide.",
     starts=lambda r: ({"F_c": 0.01 * r.force, **START, "z_0": 2e-5},
                       {"F_c": 0.01 * r.force, **START, "z_0": 1e-4}),
-    contains=("coulomb_friction",),
-    remembers_place=True,
-    family="dry",
-    passive="motion",
+    contains=("coulomb_friction",), remembers_place=True, family="dry", passive="motion",
 )
 
 
@@ -249,32 +217,21 @@ def pressure_friction_update(s, p, h, m):
 
 
 PRESSURE_FRICTION = Effect(
-    name="pressure_friction",
-    balance="force",
+    name="pressure_friction", balance="force",
     equation=f"F_steady = mu (p1 + p2) s,  {EQUATION}",
     source=f"Ottestad, Nilsen, Hansen 2012, seal friction grows with pressure; {SOURCE}",
     parameters=(
         Parameter("mu", "m^2", "friction coefficient times contact area of the seals", 0.0, 1.0,
                   3e-6),
-        V_E,
-        Parameter("z_0", "m", "displacement over which the friction reverses", 0.0, 1.2e-5, 4e-6,
-                  0.0),
-        T_1,
-        V_D,
-        W,
+        V_E, Z_RIGID, T_1, V_D, W,
     ),
-    term=pressure_friction_term,
-    adds=(FORCE,),
-    reads=(X, V, P1, P2),
+    term=pressure_friction_term, adds=(FORCE,), reads=(X, V, P1, P2),
     update=pressure_friction_update,
-    statement="seal friction of {mu} times the sum of the chamber pressures opposes the "
-    "motion",
+    statement="seal friction of {mu} times the sum of the chamber pressures opposes the motion",
     rig_check="Raise the charge pressure at the same motion: the friction must rise in "
     "proportion.",
     starts=lambda r: ({"mu": 0.005 * r.force / max(r.mean_pressure, 1e3), **START},),
-    remembers_place=True,
-    family="dry",
-    passive="motion",
+    remembers_place=True, family="dry", passive="motion",
 )
 
 
@@ -309,8 +266,7 @@ def asymmetric_friction_update(s, p, h, m):
 
 
 ASYMMETRIC_FRICTION = Effect(
-    name="asymmetric_friction",
-    balance="force",
+    name="asymmetric_friction", balance="force",
     equation=f"F_steady = max(F_c + dF sgn v, 0) s, beside dB |v|;  {EQUATION}",
     source=f"Armstrong-Helouvry 1991, Sec. 2.3, other friction by direction; {SOURCE}",
     parameters=(
@@ -319,26 +275,16 @@ ASYMMETRIC_FRICTION = Effect(
                   "motion", -1e6, 1e6, 10.0),
         Parameter("dB", "N*s/m", "half the difference of viscous damping, positive more than "
                   "negative motion", -1e6, 1e6, 100.0),
-        V_E,
-        Z_0,
-        T_1,
-        V_D,
-        W,
+        V_E, Z_0, T_1, V_D, W,
     ),
-    term=asymmetric_friction_term,
-    adds=(FORCE,),
-    reads=(X, V),
-    update=asymmetric_friction_update,
+    term=asymmetric_friction_term, adds=(FORCE,), reads=(X, V), update=asymmetric_friction_update,
     statement="friction differs by direction: {F_c} of dry friction on average, to which "
     "positive motion adds {dF:+} and {dB:+}, and negative motion the opposite",
     rig_check="Hold the same steady speed in both directions: the forces differ by twice "
     "dB |v| + dF, and not at rest.",
     starts=lambda r: ({"F_c": 0.01 * r.force, "dF": 0.01 * r.force,
                        "dB": 0.01 * r.force / max(r.speed, 1e-6), **START},),
-    contains=("coulomb_friction",),
-    remembers_place=True,
-    family="dry",
-    passive="motion",
+    contains=("coulomb_friction",), remembers_place=True, family="dry", passive="motion",
     within=(("dF", "F_c"),),
     rarity=10,  # no likelier than Coulomb friction and a constant load, which do the same
 )
@@ -352,16 +298,12 @@ def quadratic_friction_term(s, p, m, c):
 
 
 QUADRATIC_FRICTION = Effect(
-    name="quadratic_friction",
-    balance="force",
+    name="quadratic_friction", balance="force",
     equation="F = a_1 v |v|",
     source="turbulent pressure loss, Merritt 1967, Sec. 3-3",
-    parameters=(
-        Parameter("a_1", "N*s^2/m^2", "force over the square of the speed", 0.0, 1e9, 2000.0),
-    ),
-    term=quadratic_friction_term,
-    adds=(FORCE,),
-    reads=(V,),
+    parameters=(Parameter("a_1", "N*s^2/m^2", "force over the square of the speed", 0.0, 1e9,
+                          2000.0),),
+    term=quadratic_friction_term, adds=(FORCE,), reads=(V,),
     statement="a force of {a_1} times the square of the speed opposes the motion",
     rig_check="Hold two steady speeds, one twice the other: beyond the viscous part the force "
     "must be four times as large.",

@@ -17,24 +17,18 @@ def cross_port_leakage_term(s, p, m, c):
 
 
 CROSS_PORT_LEAKAGE = Effect(
-    name="cross_port_leakage",
-    balance="flow",
+    name="cross_port_leakage", balance="flow",
     equation="Q = L (p1 - p2)",
     source="laminar leakage, Merritt 1967, Eq. 6-38",
-    parameters=(
-        Parameter("L", "m^3/(s*Pa)", "added laminar leakage coefficient", -1e-8, 1e-8, 1e-12),
-    ),
-    term=cross_port_leakage_term,
-    adds=(FLOW_1, FLOW_2),
-    reads=(P1, P2),
-    statement="{L} of laminar leakage crosses the piston or the pump beyond "
-    "the configured value",
+    parameters=(Parameter("L", "m^3/(s*Pa)", "added laminar leakage coefficient", -1e-8, 1e-8,
+                          1e-12),),
+    term=cross_port_leakage_term, adds=(FLOW_1, FLOW_2), reads=(P1, P2),
+    statement="{L} of laminar leakage crosses the piston or the pump beyond the configured value",
     rig_check="Block the rod and hold the pump speed that keeps 1 MPa: that flow over 1 MPa is "
     "the leakage.",
     rig_twin="leakage",
     starts=lambda r: ({"L": 0.01 * r.flow / max(r.pressure_difference[3], 1.0)},),
-    rarity=0,
-    passive="pressure",
+    rarity=0, passive="pressure",
 )
 
 
@@ -49,8 +43,7 @@ def turbulent_leakage_term(s, p, m, c):
 
 
 TURBULENT_LEAKAGE = Effect(
-    name="turbulent_leakage",
-    balance="flow",
+    name="turbulent_leakage", balance="flow",
     equation="Q = c dp / (dp^2 + dp_0^2)^(1/4),  dp = p1 - p2",
     source="orifice equation, Merritt 1967, Eq. 3-33; laminar near zero as Ellman, Piche 1999",
     parameters=(
@@ -59,12 +52,8 @@ TURBULENT_LEAKAGE = Effect(
         Parameter("dp_0", "Pa", "pressure difference below which it is laminar", 1.0, 1e7, 1e4,
                   1e4),
     ),
-    term=turbulent_leakage_term,
-    adds=(FLOW_1, FLOW_2),
-    reads=(P1, P2),
-    family="gap",
-    statement="turbulent leakage of {c} of the pressure difference crosses the piston or the "
-    "pump",
+    term=turbulent_leakage_term, adds=(FLOW_1, FLOW_2), reads=(P1, P2), family="gap",
+    statement="turbulent leakage of {c} of the pressure difference crosses the piston or the pump",
     rig_check="Block the rod and hold two pressure differences, one four times the other: the "
     "flow to hold them must double.",
     starts=lambda r: ({"c": 0.01 * r.flow / max(r.pressure_difference[3], 1.0) ** 0.5,
@@ -83,8 +72,7 @@ def leakage_offset_term(s, p, m, c):
 
 
 LEAKAGE_OFFSET = Effect(
-    name="leakage_offset",
-    balance="flow",
+    name="leakage_offset", balance="flow",
     equation="Q = Q_0 tanh(dp / dp_e),  dp = p1 - p2",
     source="step of flow with the sign of dp: a check valve's pilot or flushing flow, "
     "a pressure-compensated path",
@@ -94,10 +82,7 @@ LEAKAGE_OFFSET = Effect(
         Parameter("dp_e", "Pa", "pressure difference over which the sign is smoothed", 10.0, 1e7,
                   1e4, 1e4),
     ),
-    term=leakage_offset_term,
-    adds=(FLOW_1, FLOW_2),
-    reads=(P1, P2),
-    family="gap",
+    term=leakage_offset_term, adds=(FLOW_1, FLOW_2), reads=(P1, P2), family="gap",
     statement="a flow of {Q_0} leaks across the piston, independent of the pressure difference",
     rig_check="Block the rod and hold a small and a large pressure difference: the flow to hold "
     "them must have the same constant part.",
@@ -115,29 +100,20 @@ def external_leakage_term(s, p, m, c):
     c[FLOW_2] -= p[1] * (s[P2] - p[2])
 
 
-def external_leakage_starts(r):
-    """Both chambers at once; the make-up path is weak, so little lowers the mean pressure much."""
-    small = 2e-4 * r.flow / max(r.mean_pressure, 1e3)
-    return ({"L_1": small, "L_2": small},)
-
-
 EXTERNAL_LEAKAGE = Effect(
-    name="external_leakage",
-    balance="flow",
+    name="external_leakage", balance="flow",
     equation="Q_1 = -L_1 (p1 - p_a), Q_2 = -L_2 (p2 - p_a): it flows to the ambient pressure p_a",
     source="external leakage, Merritt 1967, Eq. 6-39, whose pressures are above that of the tank",
     parameters=(
         Parameter("L_1", "m^3/(s*Pa)", "leakage of chamber 1 to the tank", 0.0, 1e-8, 1e-12),
         Parameter("L_2", "m^3/(s*Pa)", "leakage of chamber 2 to the tank", 0.0, 1e-8, 1e-12),
     ),
-    term=external_leakage_term,
-    adds=(FLOW_1, FLOW_2),
-    reads=(P1, P2),
-    rig_numbers=(P_AMBIENT,),
+    term=external_leakage_term, adds=(FLOW_1, FLOW_2), reads=(P1, P2), rig_numbers=(P_AMBIENT,),
     statement="chamber 1 leaks {L_1} and chamber 2 {L_2} to the outside",
     rig_check="Look for oil at the rod seal and measure the case drain: both pressures must fall "
     "while the rod is blocked.",
-    starts=external_leakage_starts,
+    # The make-up path is weak, so little lowers the mean pressure much.
+    starts=lambda r: (dict.fromkeys(("L_1", "L_2"), 2e-4 * r.flow / max(r.mean_pressure, 1e3)),),
 )
 
 
@@ -159,17 +135,14 @@ def relief_valve_starts(r):
 
 
 RELIEF_VALVE = Effect(
-    name="relief_valve",
-    balance="flow",
+    name="relief_valve", balance="flow",
     equation="Q = k (|dp| - p_c)+ sgn dp,  dp = p1 - p2",
     source="direct-acting relief valve, steady state, Merritt 1967, Sec. 9-2",
     parameters=(
         Parameter("k", "m^3/(s*Pa)", "flow over the pressure beyond cracking", 0.0, 1e-6, 1e-11),
         Parameter("p_c", "Pa", "cracking pressure difference", 0.0, 1e9, 2e6, 5e6),
     ),
-    term=relief_valve_term,
-    adds=(FLOW_1, FLOW_2),
-    reads=(P1, P2),
+    term=relief_valve_term, adds=(FLOW_1, FLOW_2), reads=(P1, P2),
     statement="a relief valve opens at {p_c} between the chambers and passes {k} of pressure "
               "beyond that",
     rig_check="Read the setting of the relief valves; drive against a stop: the pressure "
@@ -198,8 +171,7 @@ def anti_cavitation_starts(r):
 
 
 ANTI_CAVITATION = Effect(
-    name="anti_cavitation",
-    balance="flow",
+    name="anti_cavitation", balance="flow",
     equation="Q_i = k (p_min - p_i)+, i = 1, 2",
     source="check valve, steady state, Merritt 1967, Sec. 9-2; Ivantysyn, Ivantysynova 2001",
     parameters=(
@@ -207,9 +179,7 @@ ANTI_CAVITATION = Effect(
         Parameter("p_min", "Pa", "absolute pressure below which the valve opens", 0.0, 1e8, 1e6,
                   1e5),
     ),
-    term=anti_cavitation_term,
-    adds=(FLOW_1, FLOW_2),
-    reads=(P1, P2),
+    term=anti_cavitation_term, adds=(FLOW_1, FLOW_2), reads=(P1, P2),
     statement="a check valve feeds a chamber below {p_min}, with {k} of pressure deficit",
     rig_check="Watch the lower pressure in a fast move: it must stay flat at p_min.",
     valve="below",

@@ -13,15 +13,12 @@ def constant_load_term(s, p, m, c):
 
 
 CONSTANT_LOAD = Effect(
-    name="constant_load",
-    balance="force",
+    name="constant_load", balance="force",
     equation="F = F_0",
     source="weight or external force in the force balance, Eq. 3",
-    parameters=(
-        Parameter("F_0", "N", "load, positive against positive motion", -1e7, 1e7, 100.0),
-    ),
-    term=constant_load_term,
-    adds=(FORCE,),
+    parameters=(Parameter("F_0", "N", "load, positive against positive motion", -1e7, 1e7,
+                          100.0),),
+    term=constant_load_term, adds=(FORCE,),
     statement="a constant load of {F_0}, counted against positive motion",
     rig_check="Hold the actuator at rest: the pressure force that remains is the load.",
     starts=lambda r: ({"F_0": 0.01 * r.force},),
@@ -37,8 +34,7 @@ def spring_load_term(s, p, m, c):
 
 
 SPRING_LOAD = Effect(
-    name="spring_load",
-    balance="force",
+    name="spring_load", balance="force",
     equation="F = k (x - x_0)",
     source="spring load in the force balance, Merritt 1967, Sec. 6-1",
     parameters=(
@@ -46,9 +42,7 @@ SPRING_LOAD = Effect(
         Parameter("x_0", "m", "position at which the spring is relaxed", -10.0, 10.0, 0.01, 0.0,
                   fitted=False),
     ),
-    term=spring_load_term,
-    adds=(FORCE,),
-    reads=(X,),
+    term=spring_load_term, adds=(FORCE,), reads=(X,),
     statement="a spring of {k} pulls back to x = {x_0}",
     rig_check="Hold the actuator at rest at both ends of its travel: the pressure force must "
     "differ by k times the distance.",
@@ -74,8 +68,7 @@ def _contacts(r):
 
 
 CONTACT_SPRING = Effect(
-    name="contact_spring",
-    balance="force",
+    name="contact_spring", balance="force",
     equation="F = side k max(side (x - x_c), 0)",
     source="contact with clearance: Johnson 1985, Contact Mechanics, for a linear stiffness",
     parameters=(
@@ -84,9 +77,7 @@ CONTACT_SPRING = Effect(
         Parameter("side", "1", "1: met while extending, -1: while retracting", -1.0, 1.0, 1.0,
                   1.0, fitted=False),
     ),
-    term=contact_spring_term,
-    adds=(FORCE,),
-    reads=(X,),
+    term=contact_spring_term, adds=(FORCE,), reads=(X,),
     statement="beyond x = {x_c} the rod meets a spring of {k}",
     rig_check="Look for what the rod meets there: a tool, an end cushion, a stop; move slowly "
     "across that place, where the pressure force must begin to rise with x.",
@@ -102,15 +93,11 @@ def added_mass_term(s, p, m, c):
 
 
 ADDED_MASS = Effect(
-    name="added_mass",
-    balance="force",
+    name="added_mass", balance="force",
     equation="F = dM v'",
     source="force balance, Eq. 3, with the mass M + dM",
-    parameters=(
-        Parameter("dM", "kg", "moving mass beyond the configured one", 0.0, 1e6, 5.0),
-    ),
-    term=added_mass_term,
-    adds=(MASS,),
+    parameters=(Parameter("dM", "kg", "moving mass beyond the configured one", 0.0, 1e6, 5.0),),
+    term=added_mass_term, adds=(MASS,),
     statement="the moving mass is {dM} beyond the configured mass",
     rig_check="Weigh what moves, the load included; on a step of speed the peak of the pressure "
     "force grows with it.",

@@ -27,8 +27,7 @@ def entrained_air_term(s, p, m, c):
 
 
 ENTRAINED_AIR = Effect(
-    name="entrained_air",
-    balance="flow",
+    name="entrained_air", balance="flow",
     equation="1/beta(p) = 1/beta_e + alpha/(n p) (p_atm/p)^(1/n)",
     source="polytropic air in oil: Yu, Chen, Lu 1994; Gholizadeh, Burton, Schoenau 2011",
     parameters=(
@@ -36,9 +35,7 @@ ENTRAINED_AIR = Effect(
                   0.0, 0.5, 0.01),
         Parameter("n", "1", "polytropic exponent", 1.0, 1.67, 0.2, 1.4),
     ),
-    term=entrained_air_term,
-    adds=(of.COMPLIANCE_1, of.COMPLIANCE_2),
-    reads=(of.P1, of.P2),
+    term=entrained_air_term, adds=(of.COMPLIANCE_1, of.COMPLIANCE_2), reads=(of.P1, of.P2),
     statement="{alpha:%} of free air (at atmospheric pressure) softens the oil at low pressure",
     rig_check="Raise the charge pressure: the apparent bulk modulus must rise with it.",
     starts=lambda r: ({"alpha": 1e-3, "n": 1.4},),
@@ -54,8 +51,7 @@ def position_dependent_volume_term(s, p, m, c):
 
 
 POSITION_DEPENDENT_VOLUME = Effect(
-    name="position_dependent_volume",
-    balance="flow",
+    name="position_dependent_volume", balance="flow",
     equation="V1 + A_v x,  V2 - r A_v x",
     source="chamber volumes, Merritt 1967, Eq. 6-34 and 6-35",
     parameters=(
@@ -64,9 +60,7 @@ POSITION_DEPENDENT_VOLUME = Effect(
         Parameter("r", "1", "area of chamber 2 over that of chamber 1, of a single rod",
                   0.0, 100.0, 1.0, 1.0, fitted=False),
     ),
-    term=position_dependent_volume_term,
-    adds=(of.VOLUME_1, of.VOLUME_2),
-    reads=(of.X,),
+    term=position_dependent_volume_term, adds=(of.VOLUME_1, of.VOLUME_2), reads=(of.X,),
     statement="the oil volumes change with position as under a piston of {A_v}",
     rig_check="Excite the oil column at both ends of the travel: its resonance must shift between "
     "them.",
@@ -127,8 +121,7 @@ def line_dynamics_starts(r) -> tuple[dict[str, float], ...]:
 
 
 LINE_DYNAMICS = Effect(
-    name="line_dynamics",
-    balance="flow",
+    name="line_dynamics", balance="flow",
     equation="T_l dp_l' = Z (omega - n),  Z T_l n' = dp_l - dp - 2 zeta Z n,  Q = D_p n",
     source="lumped inertance, resistance and capacitance of a line, Merritt 1967, Sec. 3-6; "
     "Watton 2009, Ch. 4",
@@ -139,10 +132,7 @@ LINE_DYNAMICS = Effect(
         Parameter("Z", "Pa*s/rad", "impedance of the line to pump speed, D_p sqrt(2 beta_e I/V_l)",
                   1.0, 1e7, 1e4, 1e4),
     ),
-    term=line_dynamics_term,
-    adds=(of.SPEED,),
-    reads=(of.OMEGA,),
-    update=line_dynamics_update,
+    term=line_dynamics_term, adds=(of.SPEED,), reads=(of.OMEGA,), update=line_dynamics_update,
     statement="the oil in the line rings with a period of 2 pi times {T_l}, damping ratio "
     "{zeta}: flow reaches the chambers late",
     rig_check="Step the pump speed with the rod blocked: the pressure must ring with a period of "

@@ -5,8 +5,7 @@ from eha_monitor.physics.effect import Effect, Parameter, adds_to
 
 # A position sensor whose scale is wrong.
 POSITION_SCALE = Effect(
-    name="position_scale",
-    balance="sensor",
+    name="position_scale", balance="sensor",
     equation="x_s = (1 + k) x, and with in_loop = 1 the drive reads x_s",
     source="sensor model y = a x",
     parameters=(
@@ -26,13 +25,10 @@ POSITION_SCALE = Effect(
 # No term and no circuit: the step is found in the recording itself, where the positions are whole
 # multiples of it, and not by a fit.  The simulator makes it from ``noise.position_resolution``.
 POSITION_QUANTISATION = Effect(
-    name="position_quantisation",
-    balance="sensor",
+    name="position_quantisation", balance="sensor",
     equation="x_s = q round(x / q)",
     source="uniform quantiser, Widrow, Kollar 2008",
-    parameters=(
-        Parameter("q", "m", "step of the position sensor", 0.0, 0.01, 1e-5),
-    ),
+    parameters=(Parameter("q", "m", "step of the position sensor", 0.0, 0.01, 1e-5),),
     statement="the position comes in steps of {q}",
     rig_check="Read the resolution of the encoder or of its converter in the data sheet.",
     starts=lambda r: (),
@@ -41,14 +37,11 @@ POSITION_QUANTISATION = Effect(
 
 # A position that reaches the recording late; the drive has it in time.
 POSITION_DELAY = Effect(
-    name="position_delay",
-    balance="sensor",
+    name="position_delay", balance="sensor",
     equation="x_s(t) = x(t - T)",
     source="dead time of sampling, filtering and bus",
-    parameters=(
-        Parameter("T", "s", "time from the position to its stamp in the recording", 0.0,
-                  0.1, 1e-3),
-    ),
+    parameters=(Parameter("T", "s", "time from the position to its stamp in the recording", 0.0,
+                          0.1, 1e-3),),
     circuit=adds_to(s.POSITION_DELAY),
     statement="the recorded position is {T} late",
     rig_check="Tap the rod while a second sensor is on the same clock: the position must respond "
@@ -58,15 +51,8 @@ POSITION_DELAY = Effect(
 
 
 # Play between the piston and its position sensor.
-def backlash_starts(r):
-    """Two widths, with and without the drive behind the play."""
-    return tuple({"b": share * max(r.position, 1e-6), "in_loop": in_loop}
-                 for in_loop in (1.0, 0.0) for share in (0.001, 0.01))
-
-
 BACKLASH = Effect(
-    name="backlash",
-    balance="force",
+    name="backlash", balance="force",
     equation="x_s = min(max(x_s, x - b/2), x + b/2), x_s is what the sensor shows and, with "
     "in_loop = 1, the drive reads",
     source="play operator, Nordin, Gutman 2002; Tao, Kokotovic 1996",
@@ -79,21 +65,15 @@ BACKLASH = Effect(
     statement="there is a backlash of {b} between the piston and its position sensor",
     rig_check="Put a dial gauge on the piston rod and reverse slowly: the sensor must stand still "
     "for b.",
-    starts=backlash_starts,
+    starts=lambda r: tuple({"b": share * max(r.position, 1e-6), "in_loop": in_loop}
+                           for in_loop in (1.0, 0.0) for share in (0.001, 0.01)),
     rarity=2,
 )
 
 
 # Pressure sensors with a zero error.
-def pressure_offset_starts(r):
-    """Both sensors at once."""
-    small = 0.003 * max(r.pressure_difference[3], 1.0)
-    return ({"b_1": small, "b_2": small},)
-
-
 PRESSURE_OFFSET = Effect(
-    name="pressure_offset",
-    balance="sensor",
+    name="pressure_offset", balance="sensor",
     equation="p_s = p + b_1 in chamber 1, p + b_2 in chamber 2",
     source="sensor model y = x + b",
     parameters=(
@@ -105,15 +85,15 @@ PRESSURE_OFFSET = Effect(
               "2)",
     rig_check="Open both chambers to the tank: the sensors must show the same pressure, and a "
     "gauge too.",
-    starts=pressure_offset_starts,
+    starts=lambda r: (dict.fromkeys(  # both sensors at once
+        ("b_1", "b_2"), 0.003 * max(r.pressure_difference[3], 1.0)),),
     rarity=0,
 )
 
 
 # Pressure sensors whose scale is wrong.
 PRESSURE_SCALE = Effect(
-    name="pressure_scale",
-    balance="sensor",
+    name="pressure_scale", balance="sensor",
     equation="p_s = (1 + k_1) p in chamber 1, (1 + k_2) p in chamber 2",
     source="sensor model y = a x",
     parameters=(
@@ -130,15 +110,8 @@ PRESSURE_SCALE = Effect(
 
 
 # Pressure sensors whose zero wanders during the record.
-def pressure_drift_starts(r):
-    """Both sensors at once."""
-    small = 0.003 * max(r.pressure_difference[3], 1.0) / max(r.duration, r.sample_time)
-    return ({"d_1": small, "d_2": small},)
-
-
 PRESSURE_DRIFT = Effect(
-    name="pressure_drift",
-    balance="sensor",
+    name="pressure_drift", balance="sensor",
     equation="p_s = p + d_1 t in chamber 1, p + d_2 t in chamber 2",
     source="sensor model y = x + d t, t since the start of the record",
     parameters=(
@@ -149,21 +122,19 @@ PRESSURE_DRIFT = Effect(
     statement="the pressure sensors drift by {d_1:+} (chamber 1) and {d_2:+} (chamber 2)",
     rig_check="Log the sensors for as long as the record took with the rig at rest and both "
     "chambers open to the tank.",
-    starts=pressure_drift_starts,
+    starts=lambda r: (dict.fromkeys(("d_1", "d_2"), 0.003 * max(
+        r.pressure_difference[3], 1.0) / max(r.duration, r.sample_time)),),
     rarity=2,
 )
 
 
 # Pressures that reach the recording late.
 PRESSURE_DELAY = Effect(
-    name="pressure_delay",
-    balance="sensor",
+    name="pressure_delay", balance="sensor",
     equation="p_s(t) = p(t - T), both chambers",
     source="dead time of sampling, filtering and bus",
-    parameters=(
-        Parameter("T", "s", "time from the pressures to their stamps in the recording", 0.0,
-                  0.1, 1e-3),
-    ),
+    parameters=(Parameter("T", "s", "time from the pressures to their stamps in the recording",
+                          0.0, 0.1, 1e-3),),
     circuit=adds_to(s.PRESSURE_DELAY),
     statement="the recorded pressures are {T} late",
     rig_check="Tap the blocked rod while a second sensor is on the same clock: the pressures "
