@@ -32,7 +32,7 @@ PACKAGE = "eha_monitor.mismatch"
 NUMERICS = (  # room, constants: how much is searched, and how finely
     ("name.proposals", "HANDFUL"), ("name.proposals", "MOST_OF"), ("name.proposals", "PROMISING"),
     ("name.posterior", "PURSUED"), ("name.rank", "BEAM"), ("name.columns", "TANGENT"),
-    ("name.columns", "FAR_OFF"), ("name.polish", "COARSER"), ("name.select", "CATCHING_UP"),
+    ("name.columns", "FAR_OFF"), ("name.refit", "COARSER"), ("name.select", "CATCHING_UP"),
     ("name.finalists", "WITHIN_REACH"), ("name.neighbours", "CLOSE"), ("name.nominal", "LEANING"),
     ("name.select", "SKETCH"), ("name.unnamed", "HATS"))
 

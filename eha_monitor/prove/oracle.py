@@ -29,7 +29,6 @@ from eha_monitor.mismatch.name.refit import (
     Slopes,
     at_level,
     polished,
-    settled,
     wide,
 )
 from eha_monitor.mismatch.name.starts import (
