@@ -8,6 +8,7 @@ import pytest
 from mismatch_tools import case_of, diagnosed, fitted, recorded
 
 from eha_monitor.balances.answer import Asked, first_answer
+from eha_monitor.concealed.cases import Case
 from eha_monitor.estimation.hold_choice import HoldDecision, other_hold, with_hold
 from eha_monitor.mismatch.answer import held_command, is_answer, verdict_of
 from eha_monitor.mismatch.beside_balances import contradicted, defends, explains_more
@@ -15,14 +16,14 @@ from eha_monitor.mismatch.data.experiment import experiment_of
 from eha_monitor.mismatch.diagnose import diagnose, diagnose_and_name
 from eha_monitor.mismatch.diagnosis import VERDICTS, Diagnosis, SignalFit, Value
 from eha_monitor.mismatch.holds import gained_under, late_as_held, nominal_of, searched
-from eha_monitor.mismatch.name.before import informative
+from eha_monitor.mismatch.name.before import informative, with_effects
 from eha_monitor.mismatch.name.naming import Naming
 from eha_monitor.mismatch.name.nominal import nominal
 from eha_monitor.mismatch.name.refit import settled
 from eha_monitor.mismatch.name.select import Manner, Search
 from eha_monitor.mismatch.name.starts import starts_of, with_effect
 from eha_monitor.mismatch.policy import POLICY
-from eha_monitor.mismatch.show.held_out import worse
+from eha_monitor.mismatch.show.held_out import unseen_gates
 from eha_monitor.mismatch.show.model import rig_findings
 
 DRY = {"coulomb_friction", "presliding_friction", "stribeck_friction", "pressure_friction",
@@ -208,12 +209,12 @@ def test_a_fit_that_fails_on_unseen_data_is_worse():
     def fit(before, after):
         return SignalFit("m", before, after, 1e-6)
 
-    assert not worse({"position": fit(2e-6, 2e-6)}, POLICY)
-    assert not worse({"position": fit(2e-6, 2.01e-6)}, POLICY)  # 1 % in the square is chance
-    assert worse({"position": fit(2e-6, 2.1e-6)}, POLICY)
-    assert not worse({"position": fit(2e-6, 2.1e-6), "pressure_1": fit(9e-6, 1e-6)}, POLICY)
+    assert not unseen_gates({"position": fit(2e-6, 2e-6)}, POLICY)
+    assert not unseen_gates({"position": fit(2e-6, 2.01e-6)}, POLICY)  # chance
+    assert unseen_gates({"position": fit(2e-6, 2.1e-6)}, POLICY)
+    assert not unseen_gates({"position": fit(2e-6, 2.1e-6), "pressure_1": fit(9e-6, 1e-6)}, POLICY)
     no_noise = SignalFit("m", 1.0, 2.0, 0.0)  # nothing to measure it by
-    assert not worse({"position": no_noise}, POLICY)
+    assert not unseen_gates({"position": no_noise}, POLICY)
 
 
 def test_a_wrong_number_is_told_with_both_values_the_most_certain_first():
@@ -234,7 +235,7 @@ def test_a_wrong_number_is_told_with_both_values_the_most_certain_first():
 
 def gained(other, found):
     windows = informative(other)
-    return gained_under(windows, nominal_of(windows), found)
+    return gained_under(windows, nominal_of(windows), found)[0]
 
 
 def test_a_hold_that_the_bare_model_contradicts_is_taken_back():
@@ -263,13 +264,28 @@ def test_a_set_is_compared_with_itself_under_the_other_hold():
     assert gained(held, fitted_with(flowing, "spring_load", "position_delay")) < -100.0
 
 
+def test_two_times_that_stand_for_a_hold_and_a_lag_are_told_so():
+    """A held command behind a lag of a quarter of a sample read as two delays of one sample."""
+    recording, settings = recorded(Case(
+        "test", (("drive_lag", 0.06),), motion="short", seed=3, drive="digital_own"))
+    flowing, held = (experiment_of([recording], with_hold(settings, hold))
+                     for hold in ("continuous", "sampled"))
+    fit = with_effects(flowing, nominal(flowing)[1], {"command_delay": {"T": 1e-3},
+                                                      "feedback_delay": {"T": 1e-3}})
+    more, best = gained_under(informative(held), nominal_of(informative(held)),
+                              settled(flowing, fit))
+    assert more > 100.0 and best.named == ("drive_lag",)
+    (tau,) = [best.theta[f.place] for f in best.free if f.name == "drive_lag.tau"]
+    assert tau == pytest.approx(2.4e-4, rel=0.05)
+
+
 @pytest.mark.parametrize("hold", ["continuous", "sampled"])
 def test_the_other_hold_is_asked_for_before_a_search_goes_on(hold):
     """What was found first is likelier without a hold: the search ends there, or never turns."""
     recording, settings = recorded(case_of("drive_saturation"))
     searches, ended = [], []
 
-    def begin(experiment, may_end, elsewhere):
+    def begin(experiment, may_end, elsewhere, known):
         searches.append(experiment.settings.command_hold)
         fit = nominal(experiment)[1]
         return experiment, SimpleNamespace(found=fit, doubtful=True, experiment=experiment)
@@ -295,7 +311,7 @@ def test_a_hold_that_was_decided_wrongly_ends_with_the_first_refits():
     wrong = with_hold(settings, "sampled")
     decided, asked = HoldDecision("sampled", 41.0, True, "omega"), []
 
-    def begin(experiment, may_end, elsewhere):
+    def begin(experiment, may_end, elsewhere, known):
         sampled = experiment.settings.command_hold == "sampled"
         fit = nominal(experiment)[1]
         search = Search.at(experiment, fit, Manner(elsewhere=elsewhere))

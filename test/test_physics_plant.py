@@ -7,6 +7,7 @@ from rig_tools import (
     C_T,
     D_P,
     K_POS,
+    MULTISINE,
     SINE,
     T_S,
     TRIANGLE,
@@ -227,3 +228,14 @@ def test_stream_and_one_piece_are_the_same():
     pieces = np.vstack([stream.advance_truth(n) for n in (1, 99, 120, 80)])
     assert whole == pytest.approx(pieces, rel=1e-12, abs=1e-15)
     assert stream.time == pytest.approx(0.3)
+
+
+@pytest.mark.parametrize("lag", [1.2e-4, 2.4e-4, 6e-4, 3e-3])
+def test_a_lag_behind_a_held_command_is_exact(lag):
+    """omega decays towards the speed of the sample: Runge-Kutta runs away where a lag is short."""
+    config = simulated(MULTISINE, 1.0, effects={"drive_lag": {"tau": lag}}).config
+    truth = Simulator(config.model_copy(update={"command_hold": "sampled"})).advance_truth(1000)
+    x, x_d, omega = (truth[:, place] for place in (s.X, s.X_D, s.OMEGA))
+    wanted = K_POS * (x_d - x)
+    after = wanted[:-1] + (omega[:-1] - wanted[:-1]) * np.exp(-T_S / lag)
+    assert omega[1:] == pytest.approx(after, abs=1e-9 * np.abs(omega).max())

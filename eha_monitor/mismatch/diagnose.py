@@ -127,9 +127,9 @@ def _diagnosed(recordings: list[Recording], settings: Settings, held_out: Record
         lambda under: as_it_reads(at_its_angle(experiment_of(
             recordings, under, held_out is None, without))),
         held, decision, stands,
-        lambda experiment, may_end, elsewhere: begun_in(experiment, say, Manner(
+        lambda experiment, may_end, elsewhere, fits: begun_in(experiment, say, Manner(
             view_of(first), may_end, first is not None and agrees_closely(first), elsewhere),
-            known or ()),
+            (*fits, *(known or ()))),
         lambda search: name_effects(search, lambda text, share: say(text, 0.85 * share)))
     experiment, decision, named = end.experiment, end.decision, end.named
     if not end.followed:

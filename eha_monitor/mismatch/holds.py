@@ -5,9 +5,9 @@ the config's.  What is missing may have been taken for a hold there, or hide it:
 with something unexplained asks for the other.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cache
+from functools import cache, reduce
 from typing import Any
 
 import numpy as np
@@ -17,7 +17,7 @@ from eha_monitor.estimation.hold_choice import CLEARLY, HoldDecision, other_hold
 from eha_monitor.mismatch.data.experiment import Experiment
 from eha_monitor.mismatch.data.inputs import CLOSED
 from eha_monitor.mismatch.likelihood.fit import Fit, spread, with_unknowns
-from eha_monitor.mismatch.name.before import informative
+from eha_monitor.mismatch.name.before import informative, with_effects
 from eha_monitor.mismatch.name.columns import effects_of
 from eha_monitor.mismatch.name.naming import Naming
 from eha_monitor.mismatch.name.nominal import nominal_model
@@ -27,8 +27,12 @@ from eha_monitor.mismatch.name.starts import without_effect
 from eha_monitor.physics import signals as s
 from eha_monitor.settings.monitor import Settings
 
-# What a held command resembles.
+# What a held command resembles; and what may share its time, one early where another is late.
 HALF_LATE = ("command_delay.T", "position_delay.T", "drive_lag.tau")
+TIMES = (*HALF_LATE, "pressure_delay.T", "feedback_delay.T")
+LATE_DRIVE = ("command_delay.T", "drive_lag.tau")
+SHORT = 2.0  # samples: what stands for a hold is no longer
+STARTS = 0.25, 1.0  # samples, of a drive that is late: on either side of what a hold adds
 
 
 @dataclass(frozen=True)
@@ -58,7 +62,7 @@ Begun = tuple[Experiment, Search]
 
 def searched(under: Callable[[Settings], Experiment], held: Settings,
              decision: HoldDecision | None, may_end: bool,
-             begin: Callable[[Experiment, bool, Elsewhere | None], Begun | None],
+             begin: Callable[[Experiment, bool, Elsewhere | None, Sequence[Fit]], Begun | None],
              name: Callable[[Search], Naming]) -> Searched:
     """Search under the hold that was decided, and under the other where that explains more.
 
@@ -71,43 +75,47 @@ def searched(under: Callable[[Settings], Experiment], held: Settings,
     under : settings with a hold -> experiment.
     held : settings with the hold of the decision.
     may_end : whether a search may end by ``Unfollowed``.
-    begin : (experiment, whether it may end so, whether a fit is better off under the other hold)
-        -> windows, and a search begun in them; None where the piston hardly moves.
+    begin : (experiment, whether it may end so, whether a fit is better off under the other hold,
+        fits to begin with) -> windows, and a search begun in them; None where the piston hardly
+        moves.
     name : ends a search.
     """
     experiment = under(held)
     if decision is None:
-        begun, followed = _followed(begin, experiment, may_end, None)
+        begun, followed = _followed(begin, experiment, may_end, None, ())
         return Searched(experiment, None, *_named(name, begun, followed))
     other = cache(lambda: under(other_hold(held)))
     there = cache(lambda: informative(other()))
     bare = cache(lambda: nominal_of(there()))
-    gained = 0.0
+    gained, best = 0.0, None
 
     def elsewhere(fit: Fit) -> bool:
-        nonlocal gained
-        gained = gained_under(there(), bare(), fit)
+        nonlocal gained, best
+        gained, best = gained_under(there(), bare(), fit)
         return gained > max(GAINED * experiment.policy.lacking * experiment.n, decision.evidence)
 
-    begun, followed = _followed(begin, experiment, may_end, elsewhere)
+    begun, followed = _followed(begin, experiment, may_end, elsewhere, ())
     gained = 0.0 if followed else gained
     if begun is not None and not decision.decided and begun[1].doubtful:
-        gained = gained_under(there(), bare(), begun[1].found)
+        gained, best = gained_under(there(), bare(), begun[1].found)
     if gained <= 0.0:
         named, followed = _named(name, begun, followed)
-        late = named is not None and not decision.decided and late_as_held(named[1])
+        short = named is not None and bool(short_times(named[1].after, experiment.dt))
+        late = short and not decision.decided and late_as_held(named[1])
         stands = Searched(experiment, decision, named, followed)
-        if followed and not late and not (
+        if followed and not short and not (
                 named and named[1].unexplained > experiment.policy.rival):
             return stands if decision.decided or named is None else replace(
                 stands, apart=apart_under(there(), named[1].after))
-        gained = gained_under(there(), bare(), named[1].after if named else
-                              nominal_of(informative(experiment)))
+        gained, best = gained_under(there(), bare(), named[1].after if named else
+                                    nominal_of(informative(experiment)))
         if gained <= (-CLEARLY if late else 0.0):
             return stands
         may_end = may_end and not followed
     decision = replace(decision, hold=other().settings.command_hold, evidence=gained, decided=True)
-    return Searched(other(), decision, *_named(name, *_followed(begin, other(), may_end, None)))
+    known = () if best is None or not best.named else (best,)
+    return Searched(other(), decision, *_named(
+        name, *_followed(begin, other(), may_end, None, known)))
 
 
 def _followed(step: Callable, *arguments) -> tuple[Any, bool]:
@@ -136,6 +144,12 @@ def late_as_held(naming: Naming) -> bool:
     return any(f.name in HALF_LATE and f.owner in after.named and abs(
         after.theta[f.place] - half) <= np.hypot(
             2.0 * policy.timing * half, policy.sure * after.stddev(f.name)) for f in after.free)
+
+
+def short_times(found: Fit, dt: float) -> list[str]:
+    """Return the named effects that are a time of a few samples, as what a hold adds is."""
+    return [f.owner for f in found.free if f.name in TIMES and f.owner in found.named
+            and abs(found.theta[f.place]) < SHORT * dt]
 
 
 def apart_under(windows: Experiment, found: Fit) -> dict[str, float]:
@@ -178,12 +192,14 @@ def nominal_of(windows: Experiment) -> Fit | None:
         return None
 
 
-def gained_under(windows: Experiment, bare: Fit | None, found: Fit | None) -> float:
-    """Return by how much a set fits better under another hold than where it was found, log units.
+def gained_under(windows: Experiment, bare: Fit | None, found: Fit | None
+                 ) -> tuple[float, Fit | None]:
+    """Return by how much a set fits better under another hold, log units, and its fit there.
 
-    The likeliest of it, of it without one of its effects and of the nominal model there, after a
-    first look: what is missing beside the set may be what was taken for a hold (a position that is
-    read late), and an effect of it may be the hold (a line that delays the flow).
+    The likeliest of it, of it without one of its effects, with one late drive or none in place of
+    its short times, and of the nominal model there, after a first look: what is missing beside the
+    set may be what was taken for a hold (a position that is read late), and an effect of it may be
+    the hold (a line that delays the flow), or several that share its time.
 
     Parameters
     ----------
@@ -195,9 +211,14 @@ def gained_under(windows: Experiment, bare: Fit | None, found: Fit | None) -> fl
         return fit.log_likelihood / np.isfinite(fit.e).sum()
 
     if found is None:
-        return 0.0 if bare is None else np.inf
+        return (0.0 if bare is None else np.inf), bare
     sets = [found, *(without_effect(windows, found, name) for name in effects_of(found))]
+    if short := short_times(found, windows.dt):
+        rest = reduce(lambda fit, name: without_effect(windows, fit, name), short, found)
+        sets += [rest, *(with_effects(windows, rest, {name: {symbol: start * windows.dt}})
+                         for name, symbol in (one.split(".") for one in LATE_DRIVE)
+                         for start in STARTS)]
     there = [*spread(lambda one: looked(windows, with_unknowns(windows, one)), sets),
              *filter(None, [bare])]
     best = max(there, key=each)
-    return float((each(best) - each(found)) * np.isfinite(best.e).sum())
+    return float((each(best) - each(found)) * np.isfinite(best.e).sum()), best

@@ -24,6 +24,7 @@ N_STATE = 10
 RING = 1024  # steps of the past that are kept
 N_OUTPUTS = 5  # what sensors show: x, v, p1, p2, omega
 SHORTEST_LAG = 0.4  # integration steps: a lag below is not resolved
+SHORTEST_HELD = 0.2  # the same behind a held command, which a lag follows exactly
 STEP_DECAY = 1.5  # times the fastest decay in one; Runge-Kutta runs away from 2.8
 MOST_PARTS = 64  # of an integration step while a valve is open
 AHEAD = 2.0  # steps in which a valve that opens is foreseen
@@ -232,8 +233,9 @@ def advance(actuator, t, k, given, step, equations):
     last, first = newest[0], lead + k
     h = dt / steps
     slow = closed and (w[of.DRIVE_LAG] > 0.0 or w[of.SLEW_LIMIT] < np.inf)
-    lag = max(w[of.DRIVE_LAG], SHORTEST_LAG * h)
     slew, play = w[of.SLEW_LIMIT], w[of.PLAY]
+    steady = held and slew == np.inf  # omega decays towards what is wanted for the whole sample
+    lag = max(w[of.DRIVE_LAG], (SHORTEST_HELD if steady else SHORTEST_LAG) * h)
     command_delay, feedback_delay = w[of.COMMAND_DELAY], w[of.FEEDBACK_DELAY]
     any_active, any_memory = len(terms) > 0, len(updates) > 0
     unknown_force, unknown_flow, unknown_speed = y[Y_FORCE], y[Y_FLOW], y[Y_SPEED]
@@ -256,6 +258,7 @@ def advance(actuator, t, k, given, step, equations):
                     abs(p1 - p2), abs(next_1 - next_2)) > beyond:
                 parts = min(math.ceil(settling / smallest), MOST_PARTS)
         part_h, turned = h / parts, 0.0
+        faded = math.exp(-0.5 * part_h / lag) if steady and slow else 0.0
         count += parts
         for part in range(parts):
             sum_v = sum_a = sum_1 = sum_2 = sum_o = sum_turning = 0.0
@@ -286,7 +289,10 @@ def advance(actuator, t, k, given, step, equations):
                         wanted = shaft_speed(
                             drive_speed(value, seen_by_drive(late, played, w), base, w), w)
                     turning = wanted
-                    if slow:
+                    if slow and steady:
+                        left = 1.0 if stage == 0 else (faded * faded if stage == 3 else faded)
+                        turning = wanted + left * (omega - wanted)
+                    elif slow:
                         do = drive_rate(wanted, os, lag, slew)
                         turning = os
                 turning += unknown_speed
@@ -310,7 +316,8 @@ def advance(actuator, t, k, given, step, equations):
             v += g * sum_a
             p1 += g * sum_1
             p2 += g * sum_2
-            omega += g * sum_o
+            omega = wanted + faded * faded * (omega - wanted) if steady and slow else (
+                omega + g * sum_o)
             before = sum_a / 6.0
             played = behind_play(x, played, play) if play > 0.0 else x
             if not slow:

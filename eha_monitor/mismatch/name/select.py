@@ -278,7 +278,7 @@ def begun(experiment: Experiment, say: Report = silent, manner: Manner = PLAINLY
     search.going_on_from(known)
     if not search.widely and lack_of(experiment, search.found) > experiment.policy.lacking:
         search.widely, search.done = True, {}  # what was known is not this
-    sketch = sketch_of(experiment, start) if search.widely else None
+    sketch = sketch_of(experiment, start) if search.widely and not known else None
     if sketch is not None:
         say("searching a third of the samples", 0.1)
         found = explored(Search.at(sketch, with_unknowns(sketch, start), manner, sketch=True), say)
