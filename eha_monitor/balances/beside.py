@@ -179,7 +179,9 @@ class Beside:
                                scatter.limit[i], before - after, rivals)
             if changes and not self.beyond(name, step, now):
                 return changes, now, True, largest, None
-            if not self.matters(self.owned(name), step, before, after):
+            # Nor is it told where it is less than what is open of it, by the form of its columns.
+            if abs(step) < moved.apart or not self.matters(
+                    self.owned(name), step, before, after):
                 surely = abs(moved.deviations) > moved.limit
                 return changes, now, True, largest, _small(moved) if surely else None
             changes.append(moved)

@@ -417,6 +417,11 @@ def pumped_pressure(course: Course, rig: Rig) -> np.ndarray:
                           rig)
 
 
+def leaks_to_case(course: Course, rig: Rig) -> np.ndarray:
+    """Return the flow, as of chamber 1, of a leak of 1 m³/(s·Pa) from the filled chamber, (m,)."""
+    return -course.pumped_side * pumped_pressure(course, rig) * course.as_of_chamber_1
+
+
 def _above_ambient(p: np.ndarray, course: Course, rig: Rig) -> np.ndarray:
     """Return by how much a chamber's pressure is above ambient, (m,) Pa."""
     return np.maximum(course.absolute(p, rig) - rig.ambient_pressure, 0.0)
@@ -518,8 +523,7 @@ def flow_candidates(scale: Scale, rig: Rig) -> tuple[Candidate, ...]:
             crossing(lambda dp: dp / (dp**2 + LAMINAR**2) ** 0.25), family="gap", symbol="c",
             shape=(("dp_0", LAMINAR),)),
         one("L_1", "external_leakage", "m³/(s·Pa)", "leakage to ambient", 1,
-            lambda c, r: -c.pumped_side * pumped_pressure(c, r) * c.as_of_chamber_1,
-            family="gap", symbol="L_1", variant=True),
+            leaks_to_case, family="gap", symbol="L_1", variant=True),
         one("L_1a", "external_leakage", "m³/(s·Pa)", "leakage of chamber 1 to ambient", 1,
             lambda c, r: c.of_filled(-_above_ambient(c.p1, c, r), np.zeros(len(c))),
             family="gap", symbol="L_1", shape=(("L_2", 0.0),), variant=True, odd=False),

@@ -170,8 +170,11 @@ class _Steps:
             return None
         # Of what does as well, what every model has: it is the plainest.
         name = next(name for name in gains if gains[name].max() > most - policy.alone)
-        if gains[name].max() <= self.drifting(name) + policy.alone:
+        whole, drifting = self.drifting(name)
+        if gains[name].max() <= drifting + policy.alone:
             return None
+        if whole * np.exp(-gains[name].max()) > policy.open * self.table.size:
+            return None  # of a balance that stays open no number is known
         place = self.range[ties.largest(gains[name])]
         own, value, chance, stddev, least = self.fitted(name, place)
         # As oil warms, and a gain differs by the shape of a motion, a number moves a little.
@@ -216,8 +219,8 @@ class _Steps:
             found[name] = np.array(gains)
         return found
 
-    def drifting(self, name: str) -> float:
-        """Return the log units on unseen blocks that a drift of a term's parameter gains."""
+    def drifting(self, name: str) -> tuple[float, float]:
+        """Return the rms on unseen blocks, and the log units that a drift of a term gains."""
         places, signs, least = self.beside(name)
         rows = self.rows[:, places]
         rows = np.hstack([rows, rows[:, -1:] * np.linspace(-1.0, 1.0, len(rows))[:, None]])
@@ -226,8 +229,8 @@ class _Steps:
         whole = sum(_left((sum(parts) - part)[:-1, :-1], part[:-1, :-1], signs, least)
                     for part in parts)
         free, bounds = np.append(signs, 0.0), np.append(least, 0.0)
-        return 0.5 * float(np.log(whole / sum(
-            _left(sum(parts) - part, part, free, bounds) for part in parts)))
+        left = sum(_left(sum(parts) - part, part, free, bounds) for part in parts)
+        return float(np.sqrt(whole / self.table.n)), 0.5 * float(np.log(whole / left))
 
     def beside(self, name: str) -> tuple[list[int], np.ndarray, np.ndarray]:
         """Return the columns of the model with a term, that one last, their signs and bounds."""

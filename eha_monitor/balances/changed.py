@@ -66,9 +66,12 @@ def against(machine: Machine, recordings: Sequence[Recording], settings: Setting
     read, reading, sensor = without_sensor_error(machine, recordings, settings, courses)
     blind = _blind(machine, [one.balance for one in read.balances])
     judged, courses = reading.judged, reading.courses
-    if "drive" in blind and not sensor:  # of an unknown law its numbers are the motion's
-        judged = replace(judged, balances=tuple(
-            one for one in judged.balances if one.balance != "drive"))
+    # Of a drive of unknown law the numbers are the motion's; and of what the machine's own terms
+    # describe no better than a constant does, nothing is known.
+    lost = {one for one, left in blind.items() if left >= 1.0} | (
+        set() if sensor else blind.keys() & {"drive"})
+    judged = replace(judged, balances=tuple(
+        one for one in judged.balances if one.balance not in lost))
     apart, viscosity = apart + _other_pump(machine, judged), viscosity_of(courses)
     stiffness = stiffness_of(courses, rig)
     judged = replace(judged, balances=tuple(replace(one, changed=tuple(

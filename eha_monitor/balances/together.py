@@ -100,12 +100,16 @@ def _apart(courses: list[Course], rig: Rig, policy: Policy) -> list[Course]:
         if columns is None or off is None:
             return courses
         flow, others = columns
-        rows = course.in_band(np.column_stack([flow, off, *(one[-1] for one in others)]))[
+        rows = course.in_band(np.column_stack([
+            flow - course.added("flow"), off, *(one[-1] for one in others)]))[
             course.compared(course.counted("flow"))]
         whole = rows.T @ rows
         left = rows[:, 0] - rows[:, 1:] @ weights_of(whole[1:, 1:], whole[1:, 0])
         own = without(whole, [0, 1, 2], [3, 4], np.zeros(len(whole)))
-        gram += own / max(float(np.mean(left**2)) * independent(left), 1e-300)
+        square, floor = float(np.mean(left**2)), course.floor("flow", rig)
+        # What no longer record takes away (form_and_doubts) may look like that share as well.
+        form = policy.coherent**2 * max(square - floor**2, 0.0) * len(left)
+        gram += own / max(square * independent(left) + form, 1e-300)
     gram[1, 1] += 1.0
     off = float(weights_of(gram[1:, 1:], gram[1:, 0])[0])
     if abs(off) > policy.varied:
