@@ -119,6 +119,14 @@ def test_limits_that_contradict_are_one_line(tmp_path, capsys, change, said):
     assert said in text and str(file) in text
 
 
+def test_an_output_in_no_folder_is_refused_before_the_rig_moves(tmp_path, capsys):
+    nowhere = tmp_path / "nowhere" / "found.json"
+    text = refused(capsys, "identify", "--config", CONFIG, "--simulate", CONFIG,
+                   "--out", tmp_path / "bags", "--json", nowhere)
+    assert f"the folder {nowhere.parent} does not exist" in text
+    assert not (tmp_path / "bags").exists()
+
+
 @pytest.mark.parametrize(("acceleration", "noise"), [
     ("1e-6 m/s^2", 1e-6), ("0.001 m/s^2", 1e-6), ("5 m/s^2", 3e-3)])
 def test_no_motion_is_proposed_that_the_position_would_not_show(acceleration, noise):

@@ -25,6 +25,13 @@ def test_a_clean_triangle_names_nothing():
     check(1, 12.0)
 
 
+def test_what_a_filter_answers_of_several_recordings_has_their_machine():
+    """``diagnose A B C --machine FILE`` saves it; where a filter answers it was a traceback."""
+    run = simulated(TRIANGLE, 5.0)
+    found = diagnose([run.recording(seed) for seed in range(3)], settings())
+    assert found.verdict == "consistent" and len(found.belonging.sources) == 3
+
+
 @pytest.mark.parametrize("seconds, rows", [(5.0, slice(None)), (24.0, slice(2000, 4000))])
 def test_a_clean_slow_sine_names_nothing(seconds, rows):
     """In slow motion a soft fluid under a large unknown flow looks as likely, from far off."""

@@ -22,6 +22,7 @@ from eha_monitor.balances.baseline import BalanceFit, Term, fitted
 from eha_monitor.balances.candidates import leaks_to_case, oil_pressed, swallowed
 from eha_monitor.balances.course import Course, slope
 from eha_monitor.balances.least_squares import beside, rms
+from eha_monitor.balances.policy import POLICY
 from eha_monitor.balances.table import areas_apart, displaced, flow_columns
 from eha_monitor.balances.together import pooled
 from eha_monitor.settings.rig import Rig
@@ -121,7 +122,10 @@ def _within(course: Course, rig: Rig) -> Term | None:
             term = fit["1/beta_e"]
             found.append((fit.error_share, replace(term, stddev=float(np.hypot(
                 term.stddev, ALIKE * fit.error_share * whole / own)))))
-    return min(found, key=lambda one: one[0], default=(0.0, None))[1]
+    # A cylinder's volumes change over its stroke; the config's may be those of another place, but
+    # where the flow hardly says so they are not.
+    return min(reversed(found), key=lambda one: one[0] * (
+        np.exp(POLICY.alone) if one is not found[-1] else 1.0), default=(0.0, None))[1]
 
 
 def _own(rows: np.ndarray) -> float:

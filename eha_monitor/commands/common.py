@@ -131,7 +131,7 @@ def check_outputs(targets: dict[str, Path | None], bags: tuple[Path, ...],
     for option, target in targets.items():
         if target is None:
             continue
-        for bag in bags:
+        for bag in bags or (None,):
             check_target(target, bag)
         place = target.resolve()
         if config is not None and place == config.resolve():

@@ -150,6 +150,7 @@ def _diagnosed(recordings: list[Recording], settings: Settings, held_out: Record
              for name, one in found.after.items()}
     return Answered(replace(
         found, after=after, machine=None if first is None else first.machine,
+        belonging=None if first is None else first.belonging,
         policy=experiment.policy.to_dict(), channels=decision.findings if decided else (),
         command_hold=(experiment.settings if decided else settings).command_hold,
         wall_s=time.perf_counter() - started), naming, True)

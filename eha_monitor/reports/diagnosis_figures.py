@@ -64,7 +64,7 @@ def informative(found: Diagnosis) -> list[MissingTerm]:
     """
     share = found.location.balance
     named = {effect.balance for effect in found.effects} or set(share)
-    blamed = max(named, key=lambda balance: share.get(balance, 0.0), default="")
+    blamed = max(sorted(named), key=lambda balance: share.get(balance, 0.0), default="")
     timed = any(effect.intervals_s for effect in found.effects if effect.balance == blamed)
     drawable = [curve for curve in found.curves
                 if np.isfinite(curve.measured * curve.x).sum() >= 2]
