@@ -68,13 +68,16 @@ def flow_of(course: Course, rig: Rig) -> Flow | None:
     flow, (pump, leakage, _) = columns
     leakage = (*leakage[:3], 0, leakage[4])  # beside the config's it may be less
     late = course.skew * displaced(course, course.taken(rig)) * slope(pump[-1], course.dt)
-    own = (pump, leakage) if course.mean_of_both else (pump, leakage, (
-        "L", leakage[1], "leakage to the case", 0, leaks_to_case(course, rig)))
+    known, own = course.added("flow"), (pump, leakage)
+    if not course.mean_of_both:  # to the case, and to the make-up path, which is part of it
+        case = leaks_to_case(course, rig)
+        known, own = known - rig.makeup_conductance * case, (*own, (
+            "L", leakage[1], "leakage to the case", 1, case))
     pressed = [course.of_filled(*oil_pressed(course, rig))]
     if not np.any(course.added("stroke")):
         pressed.append(pressed[0] + rig.area_1 * course.x * course.of_filled(
             course.rate_1, course.rate_2))
-    return Flow(course, flow - course.added("flow"), own,
+    return Flow(course, flow - known, own,
                 (late, *areas_apart(course, rig)), pressed)
 
 
