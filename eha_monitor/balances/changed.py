@@ -70,8 +70,8 @@ def against(machine: Machine, recordings: Sequence[Recording], settings: Setting
     # describe no better than a constant does, nothing is known.
     lost = {one for one, left in blind.items() if left >= 1.0} | (
         set() if sensor else blind.keys() & {"drive"})
-    judged = replace(judged, balances=tuple(
-        one for one in judged.balances if one.balance not in lost))
+    read, judged = (replace(some, balances=tuple(
+        one for one in some.balances if one.balance not in lost)) for some in (read, judged))
     apart, viscosity = apart + _other_pump(machine, judged), viscosity_of(courses)
     stiffness = stiffness_of(courses, rig)
     judged = replace(judged, balances=tuple(replace(one, changed=tuple(
