@@ -321,7 +321,9 @@ def test_a_hold_that_was_decided_wrongly_ends_with_the_first_refits():
         return experiment, SimpleNamespace(found=fit, doubtful=False, experiment=experiment)
 
     def name(search):
-        return Naming(search.experiment, search.found, search.found)
+        start = starts_of("turbulent_leakage", search.experiment)[0]
+        return Naming(search.experiment, search.found, settled(
+            search.experiment, with_effect(search.found, start, (1.0,))))
 
     def under(hold):
         made = experiment_of([recording], hold, True)

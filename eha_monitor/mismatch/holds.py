@@ -19,7 +19,7 @@ from eha_monitor.mismatch.data.inputs import CLOSED
 from eha_monitor.mismatch.likelihood.fit import Fit, spread, with_unknowns
 from eha_monitor.mismatch.name.before import informative, with_effects
 from eha_monitor.mismatch.name.columns import effects_of
-from eha_monitor.mismatch.name.naming import Naming
+from eha_monitor.mismatch.name.naming import Naming, follows
 from eha_monitor.mismatch.name.nominal import nominal_model
 from eha_monitor.mismatch.name.refit import looked, settled
 from eha_monitor.mismatch.name.select import GAINED, Elsewhere, Search, Unfollowed
@@ -68,7 +68,9 @@ def searched(under: Callable[[Settings], Experiment], held: Settings,
 
     Where the hold is not decided, the other is asked for as soon as a gate refuses what was found
     first; in any case where no set that is refitted first follows, where no filter does, where the
-    answer leaves something unexplained, and where it names what a held command resembles.
+    answer leaves something unexplained, and where it names what a held command resembles; and
+    where its innovations are not those of the noise, against what has decided the hold.  Where a
+    search that was left early turns out to have been the better one, it is made to its end.
 
     Parameters
     ----------
@@ -98,24 +100,39 @@ def searched(under: Callable[[Settings], Experiment], held: Settings,
     gained = 0.0 if followed else gained
     if begun is not None and not decision.decided and begun[1].doubtful:
         gained, best = gained_under(there(), bare(), begun[1].found)
-    if gained <= 0.0:
+    early = gained > 0.0  # the search here is not made to its end
+    if not early:
         named, followed = _named(name, begun, followed)
-        short = named is not None and bool(short_times(named[1].after, experiment.dt))
-        late = short and not decision.decided and late_as_held(named[1])
+        found = named and named[1]
+        short = found is not None and bool(short_times(found.after, experiment.dt))
+        late = short and not decision.decided and late_as_held(found)
         stands = Searched(experiment, decision, named, followed)
-        if followed and not short and not (
-                named and named[1].unexplained > experiment.policy.rival):
-            return stands if decision.decided or named is None else replace(
-                stands, apart=apart_under(there(), named[1].after))
-        gained, best = gained_under(there(), bare(), named[1].after if named else
+        open_ = not followed or short or (
+            found is not None and found.unexplained > experiment.policy.rival)
+        if not open_ and (found is None or follows(found)):
+            return stands if decision.decided or found is None else replace(
+                stands, apart=apart_under(there(), found.after))
+        gained, best = gained_under(there(), bare(), found.after if found else
                                     nominal_of(informative(experiment)))
-        if gained <= (-CLEARLY if late else 0.0):
+        # What explains all that has a name takes more than what has decided the hold.
+        owed = -CLEARLY if late else 0.0 if open_ else decision.evidence
+        if gained <= owed:
             return stands
         may_end = may_end and not followed
-    decision = replace(decision, hold=other().settings.command_hold, evidence=gained, decided=True)
-    known = () if best is None or not best.named else (best,)
-    return Searched(other(), decision, *_named(
-        name, *_followed(begin, other(), may_end, None, known)))
+
+    def made(where: Experiment) -> Searched:
+        """Return a search to its end, begun with the set that is likelier there."""
+        known = () if best is None or not best.named else (best,)
+        return Searched(where, replace(
+            decision, hold=where.settings.command_hold, evidence=gained, decided=True), *_named(
+                name, *_followed(begin, where, may_end, None, known)))
+
+    end = made(other())
+    if not early or end.named is None or follows(end.named[1]):
+        return end
+    windows = informative(experiment)
+    gained, best = gained_under(windows, nominal_of(windows), end.named[1].after)
+    return made(experiment) if gained > 0.0 else end
 
 
 def _followed(step: Callable, *arguments) -> tuple[Any, bool]:
