@@ -420,16 +420,15 @@ def form_and_doubts(table: Table, names: Sequence[str], error: float, policy: Po
                     ) -> np.ndarray:
     """Return the covariance of parameters that no longer record takes away, (k, k) SI.
 
-    The law that is missing repeats: a share ``coherent`` of what is left beyond the sensors'
-    noise may look like a term's own column.  What is in doubt of the left side moves all of the
-    parameters together.
+    A law that is missing may look like a term's own column.  What is in doubt of the left side
+    moves all of the parameters together.
 
     Parameters
     ----------
     error : share of the signal that is left on unseen parts.
     """
     places = [table.places[name] for name in names]
-    form = policy.coherent**2 * max((error * table.size) ** 2 - table.floor**2, 0.0) * table.n
+    form = policy.alike((error * table.size) ** 2, table.floor**2) * table.n
     moved = movement(table, names)
     lasting = moved @ moved.T
     if form > 0.0:

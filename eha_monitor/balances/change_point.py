@@ -258,7 +258,7 @@ class _Steps:
                         - w[-1] * since * self.rows[:, places[-1]], np.nan)
         left, inverse = float(np.nanmean(rest**2)), inverse_of(gram[1:, 1:])[-1, -1]
         chance = left * independent(rest) * inverse
-        form = policy.coherent**2 * max(left - table.floor**2, 0.0) * table.n * inverse
+        form = policy.alike(left, table.floor**2) * table.n * inverse
         return (abs(float(w[-2]) + c.configured), float(w[-1]), float(np.sqrt(chance)),
                 float(np.sqrt(chance + form)),
                 bool(c.sign) and c.sign * float(w[-2:].sum()) < c.least)

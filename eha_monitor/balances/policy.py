@@ -84,6 +84,14 @@ class Policy:
         """
         return float(np.sqrt(2.0) * self.varied)
 
+    def alike(self, left: float, noise: float) -> float:
+        """Return what may look like any one term, of the squares that are left: it repeats.
+
+        What is left of a law that is missing is there in each recording, and no longer one takes
+        it away; of the sensors' ``noise`` it does.
+        """
+        return self.coherent**2 * max(left - noise, 0.0)
+
     def probability(self, frequency: float, apart: float) -> float:
         """Return how surely a name comes back on another day.
 

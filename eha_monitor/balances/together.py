@@ -107,8 +107,7 @@ def _apart(courses: list[Course], rig: Rig, policy: Policy) -> list[Course]:
         left = rows[:, 0] - rows[:, 1:] @ weights_of(whole[1:, 1:], whole[1:, 0])
         own = without(whole, [0, 1, 2], [3, 4], np.zeros(len(whole)))
         square, floor = float(np.mean(left**2)), course.floor("flow", rig)
-        # What no longer record takes away (form_and_doubts) may look like that share as well.
-        form = policy.coherent**2 * max(square - floor**2, 0.0) * len(left)
+        form = policy.alike(square, floor**2) * len(left)
         gram += own / max(square * independent(left) + form, 1e-300)
     gram[1, 1] += 1.0
     off = float(weights_of(gram[1:, 1:], gram[1:, 0])[0])
@@ -415,8 +414,7 @@ class Recordings:
             left = max(own[0, 0] - own[1:, 0] @ each[i], ROUNDING * own[0, 0])
             scale = max(left / max(table.effective - len(names), 1.0), 1e-300)
             stddev[i] = np.sqrt(np.diag(inverse_of(own[1:, 1:])) * scale)
-            # What no longer record takes away (form_and_doubts) is of each recording its own.
-            form = POLICY.coherent**2 * max(left - table.n * table.weight * table.floor**2, 0.0)
+            form = POLICY.alike(left, table.n * table.weight * table.floor**2)
             chance.append(own[1:] / scale)
             whole.append(own[1:] / (scale + form))
         start = POLICY.between * np.abs(w)
