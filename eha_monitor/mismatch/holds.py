@@ -25,12 +25,9 @@ from eha_monitor.mismatch.name.refit import looked, settled
 from eha_monitor.mismatch.name.select import GAINED, Elsewhere, Search, Unfollowed
 from eha_monitor.mismatch.name.starts import without_effect
 from eha_monitor.physics import signals as s
+from eha_monitor.physics.effects import LATE
 from eha_monitor.settings.monitor import Settings
 
-# What a held command resembles; and what may share its time, one early where another is late.
-HALF_LATE = ("command_delay.T", "position_delay.T", "drive_lag.tau")
-TIMES = (*HALF_LATE, "pressure_delay.T", "feedback_delay.T")
-LATE_DRIVE = ("command_delay.T", "drive_lag.tau")
 SHORT = 2.0  # samples: what stands for a hold is no longer
 STARTS = 0.25, 1.0  # samples, of a drive that is late: on either side of what a hold adds
 
@@ -158,14 +155,14 @@ def late_as_held(naming: Naming) -> bool:
     Any other length would be as likely: it is taken for a hold unless it is clearly better.
     """
     half, policy, after = 0.5 * naming.experiment.dt, naming.experiment.policy, naming.after
-    return any(f.name in HALF_LATE and f.owner in after.named and abs(
+    return any(LATE.get(f.name) in ("omega", "x") and f.owner in after.named and abs(
         after.theta[f.place] - half) <= np.hypot(
             2.0 * policy.timing * half, policy.sure * after.stddev(f.name)) for f in after.free)
 
 
 def short_times(found: Fit, dt: float) -> list[str]:
     """Return the named effects that are a time of a few samples, as what a hold adds is."""
-    return [f.owner for f in found.free if f.name in TIMES and f.owner in found.named
+    return [f.owner for f in found.free if f.name in LATE and f.owner in found.named
             and abs(found.theta[f.place]) < SHORT * dt]
 
 
@@ -233,8 +230,8 @@ def gained_under(windows: Experiment, bare: Fit | None, found: Fit | None
     if short := short_times(found, windows.dt):
         rest = reduce(lambda fit, name: without_effect(windows, fit, name), short, found)
         sets += [rest, *(with_effects(windows, rest, {name: {symbol: start * windows.dt}})
-                         for name, symbol in (one.split(".") for one in LATE_DRIVE)
-                         for start in STARTS)]
+                         for name, symbol in (key.split(".") for key, what in LATE.items()
+                                              if what == "omega") for start in STARTS)]
     there = [*spread(lambda one: looked(windows, with_unknowns(windows, one)), sets),
              *filter(None, [bare])]
     best = max(there, key=each)

@@ -55,6 +55,7 @@ class Parameter:
     # Integration steps that a time lasts at least: the equations leave out what is shorter, so in
     # a fit its range ends there.
     resolved: float = 0.0
+    late: str = ""  # of a time: the signal that it makes late
 
 
 @dataclass(frozen=True)

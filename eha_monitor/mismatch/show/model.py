@@ -25,13 +25,10 @@ from eha_monitor.mismatch.name.naming import Naming
 from eha_monitor.mismatch.name.nominal import with_rig
 from eha_monitor.physics import signals as s
 from eha_monitor.physics.contributions import N_EFFECTS, circuit_of
-from eha_monitor.physics.effects import CATALOGUE, NAMES
+from eha_monitor.physics.effects import CATALOGUE, LATE, NAMES
 from eha_monitor.physics.parameters import effect_values
 from eha_monitor.quantity import quantity, share
 
-# Parameters in seconds that the sensors' own lags cannot be separated from.
-TIMED = ("command_delay.T", "position_delay.T", "pressure_delay.T", "feedback_delay.T",
-         "drive_lag.tau")
 BLOCK = 0.5  # s
 TWICE = (("area_1", "area_2"), ("volume_1", "volume_2"))
 ALIKE = 0.99  # correlation of their errors where both are the same number
@@ -71,10 +68,10 @@ def fitted_of(fit: Fit) -> Fitted:
 def stated_stddev(experiment: Experiment, fit: Fit, key: str) -> float:
     """Return the standard deviation of a named effect's parameter (``effect.parameter``).
 
-    A sensor's own lag of up to ``timing`` samples needs no name, so a delay that has one is known
+    A sensor's own lag of up to ``timing`` samples needs no name, so a time that has one is known
     no better: an error even within that limit has a standard deviation of limit/sqrt(3).
     """
-    floor = experiment.policy.timing * experiment.dt / np.sqrt(3.0) if key in TIMED else 0.0
+    floor = experiment.policy.timing * experiment.dt / np.sqrt(3.0) if key in LATE else 0.0
     effect, _, symbol = key.partition(".")
     entry = CATALOGUE.get(effect)
     if entry is not None and entry.balance == "force" and symbol in {p.name for p in entry.sizes}:

@@ -16,3 +16,6 @@ def _load() -> dict[str, Effect]:
 
 CATALOGUE: dict[str, Effect] = _load()
 NAMES: tuple[str, ...] = tuple(CATALOGUE)
+# Times, "effect.parameter" -> the signal that each makes late.
+LATE: dict[str, str] = {f"{name}.{one.name}": one.late for name, entry in CATALOGUE.items()
+                        for one in entry.parameters if one.late}

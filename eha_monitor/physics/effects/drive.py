@@ -27,7 +27,8 @@ DRIVE_LAG = Effect(
     name="drive_lag", balance="drive",
     equation="tau omega' + omega = K_pos (x_d - x)",
     source="first-order speed loop of an electric drive, Leonhard 2001, Ch. 7",
-    parameters=(Parameter("tau", "s", "time constant of the drive", 0.0, 1.0, 2e-3),),
+    parameters=(Parameter("tau", "s", "time constant of the drive", 0.0, 1.0, 2e-3,
+                          late="omega"),),
     circuit=adds_to(s.DRIVE_LAG),
     statement="the drive follows its command with a time constant of {tau}",
     rig_check="Step the speed command with the rod free: 63 % of the speed must be there after "
@@ -84,7 +85,8 @@ COMMAND_DELAY = Effect(
     name="command_delay", balance="drive",
     equation="omega(t) = K_pos (x_d(t - T) - x(t))",
     source="dead time of sampling, filtering and bus",
-    parameters=(Parameter("T", "s", "time from the command to the drive", 0.0, 0.1, 1e-3),),
+    parameters=(Parameter("T", "s", "time from the command to the drive", 0.0, 0.1, 1e-3,
+                          late="omega"),),
     circuit=adds_to(s.COMMAND_DELAY),
     statement="the command reaches the drive {T} late",
     rig_check="Log the command where it is made and where the drive takes it: compare the "
@@ -98,7 +100,8 @@ FEEDBACK_DELAY = Effect(
     name="feedback_delay", balance="drive",
     equation="omega(t) = K_pos (x_d(t) - x(t - T))",
     source="dead time of sampling, filtering and bus",
-    parameters=(Parameter("T", "s", "time from the position to the drive", 0.0, 0.1, 1e-3),),
+    parameters=(Parameter("T", "s", "time from the position to the drive", 0.0, 0.1, 1e-3,
+                          late="feedback"),),
     circuit=adds_to(s.FEEDBACK_DELAY),
     statement="the position reaches the drive {T} late",
     rig_check="Compare the position that the drive logs with the sensor's own output on one "

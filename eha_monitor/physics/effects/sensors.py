@@ -41,7 +41,7 @@ POSITION_DELAY = Effect(
     equation="x_s(t) = x(t - T)",
     source="dead time of sampling, filtering and bus",
     parameters=(Parameter("T", "s", "time from the position to its stamp in the recording", 0.0,
-                          0.1, 1e-3),),
+                          0.1, 1e-3, late="x"),),
     circuit=adds_to(s.POSITION_DELAY),
     statement="the recorded position is {T} late",
     rig_check="Tap the rod while a second sensor is on the same clock: the position must respond "
@@ -134,7 +134,7 @@ PRESSURE_DELAY = Effect(
     equation="p_s(t) = p(t - T), both chambers",
     source="dead time of sampling, filtering and bus",
     parameters=(Parameter("T", "s", "time from the pressures to their stamps in the recording",
-                          0.0, 0.1, 1e-3),),
+                          0.0, 0.1, 1e-3, late="p"),),
     circuit=adds_to(s.PRESSURE_DELAY),
     statement="the recorded pressures are {T} late",
     rig_check="Tap the blocked rod while a second sensor is on the same clock: the pressures "
