@@ -36,6 +36,8 @@ REAL = {  # name -> config, files diagnosed together
     "seal_all": ("pneumatic_seals", tuple(
         f"pneumatic_seals/1_O-ring257_{bar}bar.csv" for bar in (1, 3, 5, 7))),
     "hanging": ("hanging_load", ("hanging_load/HangingLoad.csv",)),
+    "crane_1": ("crane_jib", ("crane_jib/Jib1_090525.csv.gz",)),
+    "crane_2": ("crane_jib", ("crane_jib/Jib2_090525.csv.gz",)),
     "eha_1_2": ("ivliev_eha", ("ivliev_eha/exp_data_1_2.csv",)),
     "eha_3_4": ("ivliev_eha", ("ivliev_eha/exp_data_3_4.csv",)),
     "eha_5_4": ("ivliev_eha", ("ivliev_eha/exp_data_5_4.csv",)),

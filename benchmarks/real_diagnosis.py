@@ -36,6 +36,8 @@ CASES = (
     *(("pneumatic_seals", (file,), "friction 5.4 to 10.2 N") for file in SEALS[::3]),
     ("pneumatic_seals", SEALS, "pressure friction"),
     ("hanging_load", ("hanging_load/HangingLoad.csv",), "refusal"),
+    *(("crane_jib", (f"crane_jib/Jib{run}_090525.csv.gz",), "a load that depends on the stroke")
+      for run in (1, 2)),
 )
 
 

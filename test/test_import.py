@@ -149,6 +149,23 @@ def test_a_clock_that_starts_anew_is_not_sorted(tmp_path):
     assert len(recording) == 200 and "the clock jumps back 1 time" in recording.losses[0]
 
 
+def test_each_channel_on_its_own_clock(tmp_path):
+    """Rows of 2 ms beside rows of 1 ms: the slower task has half of them, the rest is empty."""
+    rows = [f"{k},{1e3 * X[k]:.9g}," + (f"{2 * k},{20 + X[2 * k]:.9g}" if 2 * k < len(X) else ",")
+            for k in range(len(X))]
+    path = tmp_path / "a.csv"
+    path.write_text("\n".join(["t,pos,clock,p", *rows]) + "\n")
+    own = {"time": "clock", "time_scale": 1e-3}
+    recording = read_table(path, of(time="t", time_scale=1e-3, columns={
+        "x": {"column": "pos", "scale": 1e-3},
+        "p1": {"column": "p", "scale": 1e5, "offset": 1e5, **own}}))
+    np.testing.assert_allclose(recording.channels["x"], X, atol=1e-12)
+    np.testing.assert_allclose(recording.channels["p1"][:-1], (21 + X[:-1]) * 1e5, atol=10.0)
+    assert recording.losses == ("p1: 500 Hz, interpolated to 1000 Hz",)
+    with pytest.raises(InputError, match="column 'tick' not found"):
+        read_table(path, of(time="t", columns={"x": {"column": "pos", "time": "tick"}}))
+
+
 def test_delay_shifts_a_column(tmp_path):
     path = tmp_path / "a.csv"
     path.write_text(text_of())
@@ -285,6 +302,23 @@ def held(folder, path, tmp_path):
 
 def smooth(values, width=101):
     return np.convolve(values, np.ones(width) / width, mode="same")
+
+
+def test_crane_jib(tmp_path):
+    """A scope wrote the cylinder's pressures by a task of 5 ms, so that they end half way.
+
+    Read by the rows, they would follow the valve's own, beside them, three seconds late.
+    """
+    for path in real("crane_jib", "*.csv.gz"):
+        recording, _ = held("crane_jib", path, tmp_path)
+        valve = read_table(path, of(time="time", columns={
+            "x": {"column": "JibPistonPosition"},
+            "p1": {"column": "JibPaDCV", "unit": "bar gauge"}})).channels["p1"]
+        there = np.flatnonzero(np.isfinite(recording.channels["p1"]))
+        assert there[-1] < 0.51 * len(recording)
+        moves = there[np.gradient(recording.channels["x"])[there] > 5e-5]
+        apart = valve[moves] - recording.channels["p1"][moves]  # what is lost in the line
+        assert np.std(apart) < 2e5 and 1e5 < np.mean(apart) < 9e5
 
 
 def test_ivliev(tmp_path):

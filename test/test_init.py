@@ -663,6 +663,35 @@ def test_a_title_that_a_spreadsheet_has_filled_up(tmp_path, above):
     assert list(source_of(file).candidates[1].values[:2]) == [0.5, 1.5]
 
 
+@pytest.mark.parametrize("attributes", [False, True])
+@pytest.mark.parametrize("empty", [False, True])
+def test_a_scope_writes_the_time_of_each_task(tmp_path, capsys, attributes, empty):
+    """Names that repeat, what is said of each signal below them, pressures at half the rate."""
+    signals = [("Weg", TIME, SEEN["x"] * 1e3), ("Sollweg", TIME, SEEN["x_d"] * 1e3),
+               *((f"Druck {mark}", TIME[::2], SEEN[name][::2] * 1e-5)
+                 for mark, name in (("A", "p1"), ("B", "p2")))]
+    said = {"SymbolComment": "", "Data-Type": "REAL64", "SampleTime[ms]": "2", "Port": "851",
+            "Offset": "0", "ScaleFactor": "1"} if attributes else {}
+    rows = ["Name;Press", "File;C:\\scope.tcscopex", "",
+            ";".join(f"Name;{name}" for name, *_ in signals),
+            *(";".join([key, value] * len(signals)) for key, value in said.items()), *[""] * empty]
+    rows += [";".join(f"{1e3 * time[k]:.9g};{values[k]:.9g}" if k < len(time) else ";"
+                      for _, time, values in signals) for k in range(len(TIME))]
+    file = tmp_path / "scope.csv"
+    file.write_text("\n".join(rows) + "\n")
+    status, out, _ = init(capsys, file, "--yes", *sets("machine=valve"))
+    assert status == 0 and "scope.csv" in out
+    settings = load_settings("my_rig.yaml")
+    clocks = {name: column.time for name, column in settings.table.columns.items()}
+    assert clocks == {"x": "", "x_d": "", "p1": "4", "p2": "6"}
+    recording = read_table(file, settings)
+    for name in ("x", "x_d", "p1", "p2"):
+        seen = recording.channels[name][:-1]
+        rough = np.ptp(SEEN[name]) * (1e-3 if name in "x_d" else 0.05)
+        at = TIME[0] + recording.sample_time * np.arange(len(seen))
+        assert np.abs(seen - np.interp(at, TIME, SEEN[name])).max() < rough
+
+
 def test_a_person_at_a_terminal_is_asked(tmp_path):
     file = german(tmp_path / "a.csv")
     leader, follower = pty.openpty()

@@ -132,6 +132,9 @@ def _tell(draft) -> None:
         (name, guess.candidate.shown,
          guess.full or ("" if guess.scale == 1.0 else f"{guess.scale:g} ") + guess.unit, guess.why)
         for name, guess in (*time, *draft.map.channels.items()))))
+    for name, guess in draft.map.channels.items():
+        if guess.clock:
+            to.print(f"time of {name}: {guess.clock.why}, {guess.clock.unit}", markup=False)
     if draft.map.unused:
         to.print(f"not used: {', '.join(one.shown for one in draft.map.unused)}", markup=False)
     if draft.asked:

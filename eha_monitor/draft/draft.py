@@ -8,7 +8,7 @@ import numpy as np
 
 from eha_monitor import __version__
 from eha_monitor.draft.answers import Answers, checked, full_scale
-from eha_monitor.draft.guess import Guess, Map, guessed
+from eha_monitor.draft.guess import TIMES, Guess, Map, guessed
 from eha_monitor.draft.rig import (
     Entry,
     Seen,
@@ -42,7 +42,6 @@ UNITS = {"x": ("m", "mm", "cm", "um", "inch"), "x_d": ("m", "mm", "cm", "um", "i
          "omega_d": ("rad/s", "rpm", "rev/s", "deg/s"),
          "p1": ("Pa", "bar", "kPa", "MPa", "psi", "mbar"),
          "p2": ("Pa", "bar", "kPa", "MPa", "psi", "mbar"), "force": ("N", "kN", "kgf", "daN")}
-TIMES = {1e-3: "1 ms", 1.0: "1 s", 1e-6: "1 us", 1e-9: "1 ns", 60.0: "1 min"}
 
 
 @dataclass(frozen=True)
@@ -126,6 +125,9 @@ def _channel(name: str, guess: Guess, margin: str) -> str:
     parts += [f"{key}: {number(value)}" for key, value, usual in (
         ("scale", guess.scale, 1.0), ("offset", guess.offset, 0.0), ("delay", guess.delay, 0.0))
         if value != usual]
+    if guess.clock:
+        parts += [f"time: {_scalar(guess.clock.candidate.place['column'])}",
+                  f"time_scale: {guess.clock.unit}"]
     return _line(f"{margin}{name}: {{{', '.join(parts)}}}", guess.why)
 
 

@@ -1,5 +1,6 @@
 """Which column is which channel, in which unit, and why: from headers and from the numbers."""
 
+import re
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -20,6 +21,7 @@ _LEVELS = {
     "temperature": ((200.0, "degC"), (np.inf, "K")),
 }
 _EPOCHS = ((1e17, "1 ns"), (1e14, "1 us"), (1e11, "1 ms"))
+TIMES = {1e-3: "1 ms", 1.0: "1 s", 1e-6: "1 us", 1e-9: "1 ns", 60.0: "1 min"}  # s per unit
 REGULAR = 0.95  # of the steps of a time go forward
 LAGS = 400  # samples looked ahead and behind
 
@@ -110,6 +112,7 @@ class Guess:
     sure: bool = False
     full: str = ""  # ``share`` or ``counts`` where somebody has to say first how much is all
     delay: float = 0.0
+    clock: "Guess | None" = None  # its own, where it is not the time of the others
 
 
 @dataclass(frozen=True)
@@ -147,10 +150,13 @@ def guessed(source: Source, chosen: dict[str, str] | None = None) -> Map:
     for channel, entry in sorted(found.items(), key=lambda one: CHANNELS.index(one[0])):
         one, why = entry if isinstance(entry, tuple) else (entry, "answered")
         channels[channel] = _in_unit(channel, one, why, rotary, source.bag)
-    used = [guess.candidate for guess in channels.values()]
+    whole = _time_guess(time, source.bag)
+    if whole:
+        channels = _on_their_clocks(channels, whole, source.candidates)
+    used = [one.candidate for guess in channels.values() for one in (guess, guess.clock) if one]
     unused = tuple(one for one in source.candidates if one is not time
                    and not any(one is other for other in used))
-    return Map(_time_guess(time, source.bag), channels, unused, rotary,
+    return Map(whole, channels, unused, rotary,
                () if "x" in named else machines)
 
 
@@ -217,6 +223,52 @@ def _time_guess(one: Candidate | None, bag: bool) -> Guess | None:
         return Guess(one, "1 ms", f"header: '{one.shown}'", sure=True)
     unit, why = time_unit(one.values)
     return Guess(one, unit, why)
+
+
+def _on_their_clocks(channels: dict[str, Guess], time: Guess, columns: tuple[Candidate, ...]
+                     ) -> dict[str, Guess]:
+    """Return channels with the clock that a logger has written to the left of each.
+
+    A scope that records with several tasks writes the time of each, and then its signals: the
+    rows of one of 5 ms end when half of those of 10 ms have passed.
+    """
+    shown = [re.sub(r"[._ ]?\d+$", "", one.shown) for one in columns]
+    clock, own = None, []
+    for one, name in zip(columns, shown, strict=True):
+        even = one.values.dtype.kind == "f" and _even(one.values)
+        tells = one is time.candidate or (even and (
+            one.header.quantity == "time" or shown.count(name) > 1))
+        clock = one if tells else clock
+        own.append(None if tells else clock)
+    if len({id(one) for one in own if one is not None}) < 2 or (
+            time.candidate.values.dtype.kind == "M"):
+        return channels
+    stamps = _seconds(time.unit) * time.candidate.values
+    found = {}
+    for name, guess in channels.items():
+        clock = next(its for one, its in zip(columns, own, strict=True) if one is guess.candidate)
+        if clock is not None and clock is not time.candidate:
+            told = _unit_beside(clock, stamps)
+            late = np.abs(_seconds(told.unit) * clock.values - stamps)
+            if np.nanmax(late) > 0.5 * np.nanmedian(steps_of(stamps)):
+                guess = replace(guess, clock=told)
+        found[name] = guess
+    return found
+
+
+def _seconds(unit: str) -> float:
+    return next(scale for scale, name in TIMES.items() if name == unit)
+
+
+def _unit_beside(clock: Candidate, stamps: np.ndarray) -> Guess:
+    """Return the time of a clock whose unit is its header's, or one in which it lasts as long."""
+    if clock.header.kind == "time":
+        return Guess(clock, f"1 {clock.header.unit}", f"header: '{clock.shown}'", sure=True)
+    lasts = np.ptp(stamps[np.isfinite(stamps)])
+    spans = {name: scale * float(np.nanmax(clock.values) - np.nanmin(clock.values)) / lasts
+             for scale, name in TIMES.items() if name != "1 min"}
+    return Guess(clock, min(spans, key=lambda name: abs(np.log(spans[name]))),
+                 f"the time to the left of it: '{clock.shown}'")
 
 
 def _pressures(left: list[Candidate]) -> list[tuple[str, Candidate, str]]:

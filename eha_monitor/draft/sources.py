@@ -18,6 +18,7 @@ from eha_monitor.recordings.importing import (
     first_lines,
     parted_cells,
     read_columns,
+    says_of_each,
     variables_of,
 )
 from eha_monitor.settings.channels import Table
@@ -66,7 +67,7 @@ def _first_numbers(rows: list[list[str]]) -> int | None:
     """Return the first of some rows of numbers, one below the other, or None."""
     for start in range(len(rows)):
         run = rows[start:start + RUN]
-        if len(rows[start]) > 1 and all(
+        if len(rows[start]) > 1 and not says_of_each(rows[start]) and all(
                 len(row) == len(rows[start]) and _numbers(row) >= 0.5 * len(row) for row in run):
             return start
     return None
@@ -79,11 +80,13 @@ def _numbers(row: list[str]) -> int:
 def _with_names(delimiter: str, start: int, rows: list[list[str]]) -> Layout:
     count = len(rows[start])
     blank = ("",) * count
-    head = [place for place in range(max(0, start - 4), start)
-            if len(rows[place]) == count and not _numbers(rows[place])
-            and not rows[place][0].startswith("***")]
+    above = [place for place in range(start) if rows[place]]  # a scope leaves lines empty
+    said = [place for place in above if len(rows[place]) == count and says_of_each(rows[place])]
+    head = said or [place for place in above[-4:]
+                    if len(rows[place]) == count and not _numbers(rows[place])
+                    and not rows[place][0].startswith("***")]
     if not head:
-        above = rows[start - 1] if start else [""]
+        above = rows[above[-1]] if above else [""]
         said = [cell.strip().lstrip("#").strip() for cell in above]
         # numpy's savetxt puts a # before the names; the reader leaves such a line out.
         commented = above[0].lstrip().startswith("#") and len(said) == count
@@ -94,6 +97,7 @@ def _with_names(delimiter: str, start: int, rows: list[list[str]]) -> Layout:
     # A spreadsheet fills a title's line up with empty cells.
     named = [place for place in head if place not in units
              and filled[place] >= 0.7 * max(filled.values())] or head[:1]
+    named = said[:1] or named
     names = rows[named[0]]
     row = next((rows[place] for place in units if place != named[0]), blank)
     return Layout(delimiter, named[0], True,

@@ -6,7 +6,7 @@ import gzip
 import math
 import re
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 
@@ -64,30 +64,19 @@ def read_table(file: str | Path, settings: Settings, *, map_source: str = "confi
                 f"name, expected a column of {CHANNEL_WORDS[name]}; if it is one, name it by its "
                 "index from 0")
     wanted = [column.column for column in table.columns.values()]
-    cells = read_columns(path, table, list(dict.fromkeys(
-        ([table.time] if table.time else []) + wanted)))
-    rows = len(next(iter(cells.values())))
-    if rows == 0:
+    cells = read_columns(path, table, list(dict.fromkeys([*table.clocks, *wanted])))
+    if not len(next(iter(cells.values()))):
         raise InputError(f"{path}: expected rows of numbers, found none")
     losses: list[str] = []
-    if table.time:
-        stamps, good = _stamps(cells[table.time], table.time_scale)
-        if not good.any():
-            raise InputError(f"{path}: column '{table.time}' holds no time in seconds, no date "
-                             "and no time of day")
-        if not good.all():
-            losses.append(f"{int(np.sum(~good))} of {rows} rows have no time and are left out")
-    else:
-        good = np.ones(rows, dtype=bool)
-        stamps = np.round(np.arange(rows) * settings.rig.sample_time * 1e9).astype(np.int64)
-    stamps = stamps[good]
-    order, told = _order_of_time(stamps)
-    stamps = stamps[order]
-    losses += [told] * bool(told)
-    series = {}
+    clocks, series = {}, {}
     for name, column in table.columns.items():
+        clock = table.clock_of(column)
+        if clock not in clocks:
+            clocks[clock] = _clock(path, cells, clock, settings.rig.sample_time,
+                                   len(table.clocks) > 1, losses)
+        stamps, rows = clocks[clock]
         with np.errstate(over="ignore", invalid="ignore"):
-            raw = cells[column.column][good][order]
+            raw = cells[column.column][rows]
             values = np.where(raw < 0, column.negative_gain, column.gain) * raw + column.zero
         if not np.isfinite(values).any():
             losses.append(f"{name}: column '{column.column}' holds no number")
@@ -100,6 +89,33 @@ def read_table(file: str | Path, settings: Settings, *, map_source: str = "confi
     if not series:
         raise InputError(f"{path}: expected numbers in columns {', '.join(wanted)}, found none")
     return align(series, settings, source=str(path), losses=losses)
+
+
+def _clock(path: Path, cells: dict[str, np.ndarray], clock: tuple[str, float], dt: float,
+           several: bool, losses: list[str]) -> tuple[np.ndarray, np.ndarray]:
+    """Return the stamps of a clock in the order of time, int64 ns, and the rows that have them.
+
+    Parameters
+    ----------
+    clock : its column, "" for rows that are ``dt`` s apart, and s per unit of it.
+    losses : takes what is told of it.
+    """
+    name, scale = clock
+    if not name:
+        rows = np.arange(len(next(iter(cells.values()))))
+        return np.round(rows * dt * 1e9).astype(np.int64), rows
+    stamps, good = _stamps(cells[name], scale)
+    if not good.any():
+        raise InputError(f"{path}: column '{name}' holds no time in seconds, no date and no time "
+                         "of day")
+    # Of several clocks the slower one ends first, and cells without a time fill its column up.
+    ended = int(np.flatnonzero(good)[-1]) + 1 if several else len(good)
+    if lost := int(np.sum(~good[:ended])):
+        losses.append(f"{lost} of {ended} rows have no time and are left out")
+    stamps = stamps[good]
+    order, told = _order_of_time(stamps)
+    losses += [told] * bool(told)
+    return stamps[order], np.flatnonzero(good)[order]
 
 
 def _stamps(cells: np.ndarray, scale: float) -> tuple[np.ndarray, np.ndarray]:
@@ -181,7 +197,7 @@ def _days(stamps: np.ndarray) -> np.ndarray:
 
 DELIMITERS = {"tab": "\t", "space": " "}
 MOST_CELLS = 100_000_000  # of the wanted variables of a MAT file, 800 MB
-MOST_HEAD = 5  # rows below the names that may hold units, ranges, remarks
+MOST_HEAD = 20  # rows below the names that may hold units, ranges, remarks
 NO_NUMBER = ("nan", "n/a", "na", "null", "none", "inf", "-inf", "-nan", "+inf", "#n/a")
 # Thousands in groups, as 1.234,5 or 1,234.5: the last sign of them is the decimal one.
 _GROUPED = r"[-+]?\d{1,3}(?:(?:\.\d{3})+,|(?:,\d{3})+\.)\d+"
@@ -192,7 +208,7 @@ _SLICE = re.compile(r"(\w+)(?:\[\s*:\s*,\s*(\d+)\s*\])?")
 def read_columns(path: Path, table: Table, wanted: list[str]) -> dict[str, np.ndarray]:
     """Return the wanted columns, name -> (n,) float64; a cell that is no number is NaN.
 
-    A column ``table.time`` of dates or times of day is (n,) datetime64[ns], NaT where it is none.
+    A time in dates or times of day is (n,) datetime64[ns], NaT where it is none.
 
     Raises
     ------
@@ -249,13 +265,24 @@ def _csv(path: Path, table: Table, wanted: list[str]) -> dict[str, np.ndarray]:
             plain = cells[grouped].str.replace(_NOT_LAST, "", regex=True)
             numbers[grouped] = pandas.to_numeric(plain.str.replace(",", ".", regex=False))
         found[name] = numbers.to_numpy(dtype=float)
-        if name == table.time and numbers.isna().all():
+        if name in table.clocks and numbers.isna().all():
             found[name] = stamps_of(cells)
     return _below_the_head(found, frame)
 
 
+def says_of_each(row: Sequence[str]) -> bool:
+    """Tell whether a row says one thing of every signal, as a scope's: Port, 851, Port, 851."""
+    keys = {cell.strip() for cell in row[::2]}
+    return len(row) > 3 and len(row) % 2 == 0 and len(keys) == 1 and (
+        any(map(str.isalpha, *keys)) and not _is_number(*keys))
+
+
 def _below_the_head(found: dict[str, np.ndarray], frame) -> dict[str, np.ndarray]:
     """Leave out rows below the names that hold words and no number, such as a row of units."""
+    said = [says_of_each(list(row)) for row in frame.iloc[:MOST_HEAD].to_numpy()]
+    if said and said[0]:
+        return {name: values[said.index(False) if False in said else None:]
+                for name, values in found.items()}
     numbers = np.logical_or.reduce([np.isfinite(values) if values.dtype.kind == "f"
                                     else ~np.isnat(values) for values in found.values()])
     first = int(np.argmax(numbers)) if numbers.any() else 0

@@ -191,6 +191,11 @@ class Column(Section, Measured):
                                                "whose valves switch it from one piston area to "
                                                "the other")
     delay: Si("s", "delay of the row relative to the quantity", possible=(1e-9, 2.0)) = 0.0
+    time: Annotated[str, BeforeValidator(_name)] = Field(
+        "", description="column of its own clock, where a logger writes one beside each signal; "
+                        "without it, table.time")
+    time_scale: Si("s", "seconds per unit of its own clock; without it, table.time_scale", gt=0,
+                   optional=True) = None
 
     @property
     def negative_gain(self) -> float:
@@ -216,6 +221,16 @@ class Table(Section):
     time_scale: Si("s", "seconds per unit of the time column", gt=0) = 1.0
     columns: dict[Literal[CHANNELS], Column] = Field(
         {}, description="channel <- column, by channel")
+
+    def clock_of(self, column: Column) -> tuple[str, float]:
+        """Return the column of the time of a channel, "" without one, and s per unit of it."""
+        return column.time or self.time, column.time_scale or self.time_scale
+
+    @property
+    def clocks(self) -> tuple[str, ...]:
+        """The columns that hold a time."""
+        named = (self.time, *(column.time for column in self.columns.values()))
+        return tuple(dict.fromkeys(filter(None, named)))
 
 
 class Channel(Section, Measured):
