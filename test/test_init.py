@@ -692,6 +692,39 @@ def test_a_scope_writes_the_time_of_each_task(tmp_path, capsys, attributes, empt
         assert np.abs(seen - np.interp(at, TIME, SEEN[name])).max() < rough
 
 
+def seen_rows(heads, between=",", **parts):
+    """Return lines of time, x, x_d, omega, p1 and p2 in ms, mm, rpm and bar, each as its part."""
+    forms = {"t": lambda t: f"{1e3 * t:.9g}", "x": lambda x: f"{1e3 * x:.9g}",
+             "w": lambda w: f"{w * 30 / np.pi:.9g}", "p": lambda p: f"{1e-5 * p:.9g}"} | parts
+    rows = zip(TIME - TIME[0], *(SEEN[name] for name in ("x", "x_d", "omega", "p1", "p2")),
+               strict=True)
+    return heads + [between.join(forms[kind](value) for kind, value in
+                                 zip("txxwpp", row, strict=True)) for row in rows]
+
+
+HEADS = "t [ms],Position [mm],Setpoint [mm],Pump speed [rpm],Pressure A [bar],Pressure B [bar]"
+PLAIN = "Time,Position,Setpoint,Pump speed,Pressure A,Pressure B"
+
+
+@pytest.mark.parametrize("lines", [
+    seen_rows([PLAIN, "(ms),(mm),(mm),(rpm),(bar),(bar)", ""]),  # a picture scope's
+    seen_rows([PLAIN.replace(",", ";")], ";", t=lambda t: f"{t:.6g} sec",  # a timetable's
+              x=lambda x: f"{1e3 * x:.9g} mm", w=lambda w: f"{w * 30 / np.pi:.9g} rpm",
+              p=lambda p: f"{1e-5 * p:.9g} bar"),
+    seen_rows(["# t[ms]  x[mm]  xd[mm]  n[rpm]  pA[bar]  pB[bar]"], "  "),
+    seen_rows([HEADS.replace("ms", "us")],  # a counter of 32 bits
+              t=lambda t: str((2**32 - 3_000_000 + round(1e6 * t)) % 2**32)),
+    ], ids=["empty line", "units in cells", "commented names", "counter"])
+def test_forms_in_which_others_write_a_recording(tmp_path, capsys, lines):
+    file = tmp_path / "a.csv"
+    file.write_text("\n".join(lines) + "\n")
+    status, _, _ = init(capsys, file, "--yes")
+    recording = read_table(file, load_settings("my_rig.yaml"))
+    assert status == 0 and recording.losses == () and len(recording) == len(TIME)
+    for name in ("x", "x_d", "omega", "p1", "p2"):
+        np.testing.assert_allclose(recording.channels[name], SEEN[name], rtol=1e-7, atol=1e-7)
+
+
 def test_a_person_at_a_terminal_is_asked(tmp_path):
     file = german(tmp_path / "a.csv")
     leader, follower = pty.openpty()

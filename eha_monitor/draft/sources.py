@@ -14,6 +14,7 @@ import numpy as np
 from eha_monitor.draft.words import Header, kind_of, read
 from eha_monitor.errors import InputError
 from eha_monitor.recordings.importing import (
+    WITH_UNIT,
     encoding_of,
     first_lines,
     parted_cells,
@@ -74,12 +75,19 @@ def _first_numbers(rows: list[list[str]]) -> int | None:
 
 
 def _numbers(row: list[str]) -> int:
-    return sum(bool(_NUMBER.match(cell.strip()) or _STAMP.match(cell.strip())) for cell in row)
+    return sum(bool(_NUMBER.match(cell) or _STAMP.match(cell) or _unit_in(cell))
+               for cell in map(str.strip, row))
+
+
+def _unit_in(cell: str) -> str:
+    """Return the unit that stands behind the number of a cell, such as 2.5 mm; "" without."""
+    match = re.match(WITH_UNIT, cell.strip())
+    return match[2] if match and kind_of(match[2])[1] else ""
 
 
 def _with_names(delimiter: str, start: int, rows: list[list[str]]) -> Layout:
     count = len(rows[start])
-    blank = ("",) * count
+    own = tuple(map(_unit_in, rows[start]))
     above = [place for place in range(start) if rows[place]]  # a scope leaves lines empty
     said = [place for place in above if len(rows[place]) == count and says_of_each(rows[place])]
     head = said or [place for place in above[-4:]
@@ -88,10 +96,11 @@ def _with_names(delimiter: str, start: int, rows: list[list[str]]) -> Layout:
     if not head:
         above = rows[above[-1]] if above else [""]
         said = [cell.strip().lstrip("#").strip() for cell in above]
+        said = said[len(said) > count and not said[0]:]  # a space behind the # parts cells, too
         # numpy's savetxt puts a # before the names; the reader leaves such a line out.
         commented = above[0].lstrip().startswith("#") and len(said) == count
         return Layout(delimiter, 0 if commented else start, False,
-                      tuple(said) if commented else tuple(map(str, range(count))), blank)
+                      tuple(said) if commented else tuple(map(str, range(count))), own)
     units = [place for place in head if _are_units(rows[place])]
     filled = {place: sum(map(bool, map(str.strip, rows[place]))) for place in head}
     # A spreadsheet fills a title's line up with empty cells.
@@ -99,7 +108,7 @@ def _with_names(delimiter: str, start: int, rows: list[list[str]]) -> Layout:
              and filled[place] >= 0.7 * max(filled.values())] or head[:1]
     named = said[:1] or named
     names = rows[named[0]]
-    row = next((rows[place] for place in units if place != named[0]), blank)
+    row = next((rows[place] for place in units if place != named[0]), own)
     return Layout(delimiter, named[0], True,
                   tuple(cell.strip().lstrip("\ufeff") for cell in names),
                   tuple(cell.strip() for cell in row))

@@ -24,6 +24,7 @@ from eha_monitor.settings import Settings, load_settings
 from eha_monitor.settings.channels import CHANNEL_WORDS, Table
 
 SHUFFLED = 0.25  # share of steps backwards in time that neither jitter nor a clock makes
+WRAPPED = 10.0  # usual steps, by which a counter goes on where it has begun anew
 OFTEN = 0.7  # of its cells hold a number: the others are damage, and counted
 
 
@@ -123,9 +124,22 @@ def _stamps(cells: np.ndarray, scale: float) -> tuple[np.ndarray, np.ndarray]:
     if cells.dtype.kind == "M":
         good = ~np.isnat(cells)
         return np.where(good, cells.astype(np.int64), 0), good
-    time = cells * scale
+    time = unwrapped(cells) * scale
     good = np.isfinite(time) & (np.abs(time) < 2**31)
     return np.round(np.where(good, time, 0.0) * 1e9).astype(np.int64), good
+
+
+def unwrapped(ticks: np.ndarray) -> np.ndarray:
+    """Return the ticks of a counter of 16 or 32 bits, (n,), as if it had more of them."""
+    there = np.isfinite(ticks)
+    steps = np.diff(ticks[there])
+    usual = np.median(np.abs(steps)) if len(steps) else 0.0
+    for size in (2.0**16, 2.0**32):
+        wraps = np.abs(steps + size) < WRAPPED * usual
+        if wraps.any() and WRAPPED * usual < 0.5 * size:
+            ticks = ticks.copy()
+            ticks[there] += size * np.concatenate([[0.0], np.cumsum(wraps)])
+    return ticks
 
 
 def _order_of_time(stamps: np.ndarray) -> tuple[np.ndarray, str]:
@@ -202,6 +216,9 @@ NO_NUMBER = ("nan", "n/a", "na", "null", "none", "inf", "-inf", "-nan", "+inf", 
 # Thousands in groups, as 1.234,5 or 1,234.5: the last sign of them is the decimal one.
 _GROUPED = r"[-+]?\d{1,3}(?:(?:\.\d{3})+,|(?:,\d{3})+\.)\d+"
 _NOT_LAST = r"[.,](?=.*[.,])"
+# A number and its unit in one cell, such as 2.5 mm.
+WITH_UNIT = (r"^([-+]?(?:\d+(?:[.,]\d*)?|[.,]\d+)(?:[eE][-+]?\d+)?) ?"
+             r"((?:[^\W\d_]|[°%])[^\d\s]*)$")
 _SLICE = re.compile(r"(\w+)(?:\[\s*:\s*,\s*(\d+)\s*\])?")
 
 
@@ -264,6 +281,8 @@ def _csv(path: Path, table: Table, wanted: list[str]) -> dict[str, np.ndarray]:
         if (grouped := numbers.isna() & cells.str.fullmatch(_GROUPED)).any():
             plain = cells[grouped].str.replace(_NOT_LAST, "", regex=True)
             numbers[grouped] = pandas.to_numeric(plain.str.replace(",", ".", regex=False))
+        if numbers.isna().all() and (bare := cells.str.extract(WITH_UNIT)[0]).notna().any():
+            numbers = pandas.to_numeric(bare.str.replace(",", ".", regex=False))
         found[name] = numbers.to_numpy(dtype=float)
         if name in table.clocks and numbers.isna().all():
             found[name] = stamps_of(cells)
