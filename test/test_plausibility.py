@@ -16,6 +16,8 @@ from scipy.signal import lfilter
 
 from eha_monitor import cli
 from eha_monitor.errors import InputError
+from eha_monitor.estimation.position import astray, trusted
+from eha_monitor.estimation.sensors import white_noise
 from eha_monitor.physics.simulator import Simulator
 from eha_monitor.plausibility.held import held
 from eha_monitor.plausibility.judge import (
@@ -565,3 +567,51 @@ def test_a_rig_at_rest_has_no_frozen_position():
     resting["x"] = np.round(resting["x"] / 1e-4) * 1e-4
     found = plausibility_of(replace(recording, channels=resting), config).findings
     assert not [one for one in found if "stands still" in one.finding and "x" in one.channels]
+
+
+def broken(kind, x, rate, rng):
+    """Return a position whose sensor is broken, and the words that say so."""
+    x, n, where = x.copy(), len(x), np.zeros(len(x), dtype=bool)
+    if kind == "lone":
+        where = rng.random(n) < 0.05
+        return np.where(where, x.min() - 0.5 * np.ptp(x), x), "drops out", where
+    for first in rng.uniform(0.05, 0.9, 6) * n:
+        where[int(first):int(first) + round(0.3 * rate)] = True
+    if kind == "long":
+        return np.where(where, x.min() - 0.5 * np.ptp(x), x), "drops out", where
+    if kind == "noisy":
+        return np.where(where, x + 0.2 * np.ptp(x) * rng.standard_normal(n), x), "as noisy", where
+    where = np.arange(n) > 0.45 * n
+    return x + 0.3 * np.ptp(x) * where, "jumps at", where
+
+
+@pytest.mark.parametrize("shape", [MULTISINE, TRIANGLE])
+@pytest.mark.parametrize("kind", ["lone", "long", "noisy", "lost"])
+def test_a_position_that_no_piston_has_is_told_and_left_out(kind, shape):
+    """A loose contact made "a drive that hunts", and lost counts a load."""
+    recording, config = SECOND if shape == MULTISINE else PAPER
+    x, dt = recording.channels["x"], recording.sample_time
+    shown, words, where = broken(kind, x, 1.0 / dt, np.random.default_rng(5))
+    off = replace(recording, channels=recording.channels | {"x": shown})
+    said = [one.finding for one in plausibility_of(off, config).findings]
+    assert sum(words in one for one in said) == 1 and "drive" not in "".join(said)
+    left = np.isfinite(trusted(off).channels["x"])
+    if kind == "lost":
+        (at,) = astray(shown, dt, white_noise(x)).jumps
+        assert left.all() and at == np.argmax(where) - 1
+    else:
+        assert (left & where).mean() < 0.002 and (~left & ~where).mean() < 0.15
+    assert trusted(recording) is recording and held(recording) == ()
+
+
+def test_a_position_that_stands_while_its_demand_goes_on_is_told():
+    recording, config = PAPER
+    x, n = recording.channels["x"].copy(), len(recording) // 3
+    x[n:] = x[n]
+    stuck_at = replace(recording, channels=recording.channels | {"x": x})
+    (line,) = [one.finding for one in plausibility_of(stuck_at, config).findings
+               if one.channels == ("x",)]
+    assert f"x stands still from {n * recording.sample_time:.2f} s to the end" in line
+    resting = recording.channels | {"x": x, "x_d": np.where(np.arange(len(x)) > n, x[n],
+                                                            recording.channels["x_d"])}
+    assert not [one for one in held(replace(recording, channels=resting)) if "x" in one.channels]

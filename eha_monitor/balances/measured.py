@@ -24,6 +24,7 @@ from eha_monitor.balances.course import (
 from eha_monitor.errors import InputError
 from eha_monitor.estimation.hold_choice import command_is_held, followed
 from eha_monitor.estimation.modelled import contributions_along
+from eha_monitor.estimation.position import astray
 from eha_monitor.estimation.rig_model import added_by, force_missing, force_of
 from eha_monitor.estimation.sensors import (
     noise_levels,
@@ -93,6 +94,8 @@ def course_within(recording: Recording, settings: Settings, band: float) -> Cour
     names = [name for name in CHANNELS if recording.has(name)]
     noise = noise_levels(recording, settings.noise)
     cleaned, _ = without_spikes({name: recording.channels[name] for name in names}, noise)
+    off = astray(cleaned["x"], dt, noise["x"].value)
+    cleaned["x"] = np.where(off.mask(len(rows)), np.nan, cleaned["x"])
     needed = [name for name in names if name not in ("x_d", "omega_d")]
     # A demand is no sensor: it may rest for long and jump.
     cleaned |= {name: np.where(_dead(cleaned[name], dt), np.nan, cleaned[name])
@@ -103,10 +106,12 @@ def course_within(recording: Recording, settings: Settings, band: float) -> Cour
     bridged = round(BRIDGED / (MOTION * band * dt))
     missing = _gaps(~np.all([np.isfinite(true[name]) for name in needed], axis=0), bridged)
     # What stands still is as a straight line says; what was not recorded is not.
-    missing |= _gaps(~np.all([np.isfinite(recording.channels[name]) for name in needed], axis=0),
+    missing |= _gaps(off.mask(len(rows)) | ~np.all([np.isfinite(recording.channels[name])
+                                                    for name in needed], axis=0),
                      bridged, 1.0 / (band * dt))
     fades = round(JOINED / (band * dt))
-    for join in np.flatnonzero(np.diff(rows) > 1):  # of two stretches: a step, for a low-pass
+    # Of two stretches, or where the position jumps: a step, for a low-pass.
+    for join in (*np.flatnonzero(np.diff(rows) > 1), *off.jumps):
         missing[max(join - fades, 0):join + fades] = True
     whole = {name: filled(values) for name, values in true.items()}
     force = force_of(rig, whole)

@@ -18,6 +18,7 @@ from eha_monitor.estimation.hold_choice import (
 from eha_monitor.estimation.inputs import Inputs, inputs_of, time_of
 from eha_monitor.estimation.joint import fits, run_joint
 from eha_monitor.estimation.model_watch import beyond, model_status, ranges_of, tainted_by, within
+from eha_monitor.estimation.position import trusted
 from eha_monitor.estimation.results import (
     BALANCE,
     CONVERGED,
@@ -68,6 +69,7 @@ def estimate(recording: Recording, settings: Settings) -> Estimate:
 
 def _estimated(recording: Recording, settings: Settings) -> Estimate:
     started = time.perf_counter()
+    recording = trusted(recording)
     settings, decision = resolved([recording], settings)
     settings = for_stages(settings, decision)
     found = estimate_held(recording, settings)

@@ -13,6 +13,7 @@ from eha_monitor.balances.course import TRAVEL
 from eha_monitor.balances.event import without_events
 from eha_monitor.breakdown import computing
 from eha_monitor.estimation.hold_choice import resolved
+from eha_monitor.estimation.position import trusted
 from eha_monitor.mismatch.answer import assemble, verdict_of
 from eha_monitor.mismatch.beside_balances import (
     Filtered,
@@ -72,7 +73,7 @@ def diagnose(recordings: list[Recording], settings: Settings, held_out: Recordin
     """
     started = time.perf_counter()
     with computing(*(recording.source for recording in recordings)):
-        recordings, events = without_events(recordings, settings)
+        recordings, events = without_events([*map(trusted, recordings)], settings)
         recordings, points = since_change(recordings, settings)
         found = _diagnosed(recordings, settings, held_out, progress or silent,
                            hypothesis, without, vary).diagnosis
@@ -99,7 +100,8 @@ def diagnose_and_name(recordings: list[Recording], settings: Settings,
     begins with the models that are ``known`` from a part of it.  See :func:`diagnose`.
     """
     with computing(*(recording.source for recording in recordings)):
-        return _diagnosed(recordings, settings, None, progress or silent, None, (), (), known)
+        return _diagnosed([*map(trusted, recordings)], settings, None, progress or silent, None,
+                          (), (), known)
 
 
 def _diagnosed(recordings: list[Recording], settings: Settings, held_out: Recording | None,

@@ -9,9 +9,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from eha_monitor.estimation.position import astray
+from eha_monitor.estimation.sensors import white_noise
 from eha_monitor.plausibility.moments import stretch_of
 from eha_monitor.quantity import quantity, share
 from eha_monitor.recordings.recording import ChannelFinding, Recording
+from eha_monitor.words import listed
 
 LOOKED_AT = ("p1", "p2", "force")  # a position stands at a stop, a speed at the drive's limit
 FEWEST = 8  # samples in a run
@@ -31,6 +34,8 @@ TIMES = 4.0
 USUAL = 0.98  # quantile of a motion's steps, and by share of its time of its pauses
 JUMPED = 5.0  # usual steps by which a frozen value is left: a piston goes on from where it stood
 JUMPS = 0.05  # of its span, the usual change from one value to the next
+GOES_ON = 0.1  # of what a demand moves
+SHOWN = 3  # stretches in a sentence
 
 
 @dataclass(frozen=True)
@@ -74,9 +79,60 @@ def held(recording: Recording) -> tuple[ChannelFinding, ...]:
             found.append(ChannelFinding(said, "hold", (name,)))
     whole = {name: np.asarray(values, dtype=float)
              for name, values in recording.channels.items() if name in ("x", "p1", "p2", "omega")}
-    if said := _frozen(whole, recording.sample_time):
+    if said := _frozen(whole, recording.sample_time) or _stands_to_the_end(recording):
         found.append(ChannelFinding(said, "hold", ("x",)))
+    found += [ChannelFinding(said, "hold", ("x",)) for said in _astray(recording)]
     return tuple(found)
+
+
+def _astray(recording: Recording) -> list[str]:
+    """Return what the position does that no piston does, in words."""
+    x, dt = recording.get("x"), recording.sample_time
+    off, said = astray(x, dt, white_noise(x)), []
+    size = quantity(off.size, "m", 2)
+    if len(off.out):
+        said.append(f"x drops out {_when(off.out * dt)}, by up to {size} within a sample and "
+                    "back: a loose contact, a cable, or an encoder; what lies between is left out")
+    if len(off.jumps):
+        at = listed([f"{one * dt:.2f}" for one in off.jumps[:SHOWN]])
+        more = f" s and {len(off.jumps) - SHOWN} more times" if len(off.jumps) > SHOWN else " s"
+        said.append(f"x jumps at {at}{more}, by up to {size} within a sample, as no piston does: "
+                    "an encoder that loses counts, a sensor that slips, or rows that are missing")
+    if len(off.noisy):
+        said.append(f"x is up to {quantity(off.noise, '', 2)} times as noisy as usual "
+                    f"{_when(off.noisy * dt)}: a loose contact, a cable, or an encoder; these "
+                    "stretches are left out")
+    return said
+
+
+def _when(stretches: np.ndarray) -> str:
+    """Return first and last second of some stretches (m, 2), in words."""
+    shown = ", ".join(f"{first:.2f}–{last:.2f}" for first, last in stretches[:SHOWN])
+    more = f" s and {len(stretches) - SHOWN} more" if len(stretches) > SHOWN else " s"
+    return f"at {shown}{more}"
+
+
+def _stands_to_the_end(recording: Recording) -> str:
+    """Return from when on the position keeps one value while its demand goes on, in words, or "".
+
+    Longer than at any other time.
+    """
+    x, wanted = recording.get("x"), recording.get("x_d")
+    there = np.flatnonzero(np.isfinite(x) & np.isfinite(wanted))
+    if len(there) < FEWEST:
+        return ""
+    x, wanted, dt = x[there], wanted[there], recording.sample_time
+    changes = np.flatnonzero(np.diff(x) != 0.0)
+    if not len(changes):
+        return ""
+    last, pauses = int(changes[-1]) + 1, np.diff(changes)
+    goes_on = float(np.ptp(wanted[last:]))
+    if not is_frozen((len(x) - last) * dt, float(pauses.max(initial=0)) * dt, STUCK_S) or (
+            goes_on < GOES_ON * np.ptp(wanted)):
+        return ""
+    return (f"x stands still from {there[last] * dt:.2f} s to the end, to the last digit, while "
+            f"its demand goes on by {quantity(goes_on, 'm', 2)}: a frozen sensor, a blocked "
+            "piston, or a drive that is off")
 
 
 def is_frozen(still: float, usual: float, shortest: float = SHORTEST_S) -> bool:
@@ -105,10 +161,8 @@ def _frozen(channels: dict[str, np.ndarray], dt: float) -> str:
                                      dtype=bool))
     if not len(frozen.starts):
         return ""
-    first, last = frozen.starts * dt, frozen.stops * dt
-    where = ", ".join(f"{a:.2f}–{b:.2f}" for a, b in zip(first[:3], last[:3], strict=True))
-    more = f" s and {len(first) - 3} more" if len(first) > 3 else " s"
-    return (f"x stands still at {where}{more} while the pressures or the pump move, and then "
+    where = _when(np.column_stack([frozen.starts, frozen.stops]) * dt)
+    return (f"x stands still {where} while the pressures or the pump move, and then "
             "jumps: a frozen sensor, or a logger that repeats its last value")
 
 
