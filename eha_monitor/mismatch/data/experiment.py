@@ -131,6 +131,11 @@ class Experiment:
         """Places of the used outputs."""
         return np.flatnonzero(self.used)
 
+    def counted(self, parts: Sequence[np.ndarray]) -> np.ndarray:
+        """Return what is given for each stretch (n, ...) at its counted samples, joined."""
+        return np.concatenate([part[stretch.counted] for part, stretch in zip(
+            parts, self.stretches, strict=True)])
+
     def only(self, stretches: tuple[Stretch, ...]) -> "Experiment":
         """Return the same rig with other data."""
         return replace(self, stretches=stretches)

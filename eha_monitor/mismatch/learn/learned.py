@@ -173,12 +173,9 @@ def periods_of(experiment: Experiment, fit: Fit, tracks: list[np.ndarray]) -> in
     A pump's flow ripples with its pistons or teeth, in proportion to its speed, with harmonics.
     An innovation is what entered over the sample before it, so the angle in its middle counts.
     """
-    counted = [stretch.counted for stretch in experiment.stretches]
-    middle = [np.concatenate([[0.0], 0.5 * (track[1:, s.ANGLE] + track[:-1, s.ANGLE])])
-              for track in tracks]
-    angle = np.concatenate([one[mask] for one, mask in zip(middle, counted, strict=True)])
-    speed = np.concatenate([track[mask, s.OMEGA]
-                            for track, mask in zip(tracks, counted, strict=True)])
+    angle = experiment.counted([np.concatenate(
+        [[0.0], 0.5 * (track[1:, s.ANGLE] + track[:-1, s.ANGLE])]) for track in tracks])
+    speed = experiment.counted([track[:, s.OMEGA] for track in tracks])
     left = np.nan_to_num(fit.e / np.nanstd(fit.e, axis=0))
     shares = np.zeros(HARMONICS * MOST_PERIODS + 1)
     for k in range(1, len(shares)):

@@ -18,6 +18,7 @@ from functools import lru_cache, partial
 
 import numpy as np
 
+from eha_monitor import ties
 from eha_monitor.estimation.sensors import true_position, true_pressure
 from eha_monitor.mismatch.data.experiment import Experiment
 from eha_monitor.mismatch.likelihood.gains import Unknowns, decay_of, gains_of
@@ -125,6 +126,11 @@ class Fit:
         return sigma * abs(self.value(name)) if self.free[i].log else sigma
 
 
+def likeliest(fits: Iterable[Fit], within: float = ties.GUESS) -> Fit:
+    """Return the likeliest of some fits, the first of those that are the same ``within``."""
+    return ties.best(fits, lambda fit: fit.log_likelihood, within=within)
+
+
 @lru_cache(maxsize=1)
 def workers() -> ThreadPoolExecutor:
     """Return the threads on which filters run; the compiled code leaves the lock."""
@@ -144,11 +150,8 @@ def spread(function: Callable, items: Iterable) -> list:
 def innovations(experiment: Experiment, theta: np.ndarray, active: np.ndarray,
                 gains: np.ndarray) -> np.ndarray:
     """Return the innovations of the used channels at the counted samples, (N, c); NaN if none."""
-    parts = []
-    for stretch in experiment.stretches:
-        e = filtered(experiment, stretch, theta, active, gains)[0]
-        parts.append(e[stretch.counted])
-    return np.concatenate(parts)[:, experiment.columns]
+    return experiment.counted([filtered(experiment, stretch, theta, active, gains)[0]
+                               for stretch in experiment.stretches])[:, experiment.columns]
 
 
 def filtered(experiment: Experiment, stretch, theta, active, gains, states: bool = False,

@@ -221,10 +221,8 @@ def steady(experiment: Experiment, fit: Fit) -> np.ndarray:
     found = [np.gradient(free_run(experiment, stretch, fit)[:, 0], experiment.dt)
              for stretch in experiment.stretches]  # speeds of the model, running free
     largest = max((float(np.quantile(np.abs(v), 0.99)) for v in found), default=0.0)
-    return np.concatenate([
-        (maximum_filter1d(v, span) - minimum_filter1d(v, span)
-         < STEADY_CHANGE * largest)[stretch.counted]
-        for v, stretch in zip(found, experiment.stretches, strict=True)])
+    return experiment.counted([maximum_filter1d(v, span) - minimum_filter1d(v, span)
+                               < STEADY_CHANGE * largest for v in found])
 
 
 def sliding(experiment: Experiment) -> np.ndarray:
@@ -232,5 +230,5 @@ def sliding(experiment: Experiment) -> np.ndarray:
     found = []
     for stretch in experiment.stretches:
         v = np.abs(np.gradient(stretch.z[:, 0], experiment.dt))  # planned: there is no noise on it
-        found.append((v > SLIDING * max(float(np.quantile(v, 0.99)), 1e-12))[stretch.counted])
-    return np.concatenate(found)
+        found.append(v > SLIDING * max(float(np.quantile(v, 0.99)), 1e-12))
+    return experiment.counted(found)

@@ -202,12 +202,10 @@ def likelihood(experiment: Experiment, base: Base, rival: Rival, size: float, la
     columns = experiment.columns
 
     def passed(parts: list[np.ndarray]) -> np.ndarray:
-        kept = []
-        for e, stretch in zip(parts, experiment.stretches, strict=True):
-            out = np.full_like(e, np.nan)
+        kept = [np.full_like(e, np.nan) for e in parts]
+        for e, out in zip(parts, kept, strict=True):
             rival_innovations(e, columns, base.drive, a, h, gains, out)
-            kept.append(out[stretch.counted])
-        return np.concatenate(kept)[:, columns]
+        return experiment.counted(kept)[:, columns]
 
     e = passed(base.e)
     reached = log_likelihood_of(e)
@@ -247,9 +245,7 @@ def latent_gains(experiment: Experiment, fit: Fit) -> dict[str, tuple[Rival, flo
             if far and len(fits) == 1:
                 fits.append(replace(fit, theta=theta))
     bases = [base_of(experiment, one) for one in fits]
-    counted = np.concatenate([e[stretch.counted] for e, stretch in
-                              zip(bases[0].e, experiment.stretches, strict=True)])
-    nothing = log_likelihood_of(counted[:, experiment.columns])
+    nothing = log_likelihood_of(experiment.counted(bases[0].e)[:, experiment.columns])
     gains: dict[str, tuple[Rival, float]] = {}
     for base in bases:
         for rival, value in gains_from(experiment, base):

@@ -7,7 +7,7 @@ import numpy as np
 
 from eha_monitor import ties
 from eha_monitor.mismatch.data.experiment import Experiment
-from eha_monitor.mismatch.likelihood.fit import Fit, spread, with_unknowns
+from eha_monitor.mismatch.likelihood.fit import Fit, likeliest, spread, with_unknowns
 from eha_monitor.mismatch.name.before import FirstView, informative
 from eha_monitor.mismatch.name.columns import FAR_OFF, LOOSE, columns_at, rig_free
 from eha_monitor.mismatch.name.finalists import (
@@ -25,7 +25,6 @@ from eha_monitor.mismatch.name.nominal import (
     lack_of,
     lacks,
     leans_less,
-    likelier,
     needing_least,
     nominal_model,
     resolved_nominal,
@@ -212,22 +211,21 @@ def refit(experiment: Experiment, view: Linearised, chosen: list[Ranked], refits
         return entered_at_best(experiment, view.fit, view.what, one)
 
     def quick(one: Ranked) -> Fit:
-        made = ties.best([looked(experiment, entered(each), view.slopes)
-                          for each in from_each_start(view.what, one)],
-                         lambda fit: fit.log_likelihood, within=ties.GUESS)
+        made = likeliest(looked(experiment, entered(each), view.slopes)
+                         for each in from_each_start(view.what, one))
         if not np.isfinite(made.log_likelihood) or made.unknowns == view.fit.unknowns:
             return made
         # The guess is ranked by the innovations that a filter expects, the fit by those it has: a
         # model is not judged under unknowns that suit it less than those it came from.
-        return likelier(made, with_unknowns(experiment, made, view.fit.unknowns))
+        return likeliest((made, with_unknowns(experiment, made, view.fit.unknowns)))
 
     own = view.own
     if own is not None and not view.here and chosen[0].evidence < own.evidence + CLOSE:
         # With the same numbers of the rig free as in its rivals: else their evidence differs.
         made = settled(experiment, entered(own), view.slopes)
         if made.log_likelihood < view.fit.log_likelihood:  # the guess has led away
-            made = likelier(made, settled(experiment, joined(
-                experiment, view.fit, view.what, own, 0.0), view.slopes))
+            made = likeliest((made, settled(experiment, joined(
+                experiment, view.fit, view.what, own, 0.0), view.slopes)))
         refits.add(experiment, view.here, made, True)
     refits.tried.update((view.here, one.names) for one in chosen)
     looks = [made for made in spread(quick, chosen) if np.isfinite(made.log_likelihood)]
@@ -270,8 +268,8 @@ def begun(experiment: Experiment, say: Report = silent, manner: Manner = PLAINLY
         first = needing_least(experiment, first)
     start = settled(experiment, with_rig(experiment, first))
     if not near:
-        start = likelier(nominal_model(experiment, within=True), start)
-    start = likelier(start, from_config(experiment))
+        start = likeliest((nominal_model(experiment, within=True), start))
+    start = likeliest((start, from_config(experiment)))
     search = Search.at(experiment, start, manner, bare=first)
     if not search.refits.evidence:
         raise np.linalg.LinAlgError("the nominal model's evidence is singular")
@@ -427,5 +425,5 @@ def far_off(search: Search) -> Fit | None:
             theta = experiment.theta.copy()
             theta[f.place] *= np.exp(step)
             found.append(with_unknowns(experiment, replace(first, theta=theta), first.unknowns))
-    best = ties.best(found or [first], lambda fit: fit.log_likelihood, within=ties.GUESS)
+    best = likeliest(found or [first])
     return best if best.log_likelihood > first.log_likelihood else None

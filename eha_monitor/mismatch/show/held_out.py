@@ -335,7 +335,7 @@ def parts_of(experiment: Experiment, tracks: list[np.ndarray]
     found = []
     for values, low, high in ((speeds, "slow half", "fast half"),
                               (loads, "small pressure differences", "large pressure differences")):
-        whole = np.concatenate([v[c] for v, c in zip(values, counted, strict=True)])
+        whole = experiment.counted(values)
         if not len(whole) or np.ptp(whole) == 0:
             continue
         middle = np.median(whole)
