@@ -21,7 +21,13 @@ from eha_monitor.mismatch.data.inputs import CLOSED, cubics
 from eha_monitor.mismatch.likelihood.fit import Fit, free_run, with_unknowns
 from eha_monitor.mismatch.likelihood.information import Gram, Slope, Traces, free_slopes, gain_of
 from eha_monitor.mismatch.name.refit import settled
-from eha_monitor.mismatch.name.starts import directions_of, starts_of, with_effect, without_effect
+from eha_monitor.mismatch.name.starts import (
+    continuing,
+    directions_of,
+    starts_of,
+    with_effect,
+    without_effect,
+)
 from eha_monitor.physics.effects import CATALOGUE, NAMES
 from eha_monitor.physics.parameters import effect_values, place_of
 
@@ -221,15 +227,9 @@ def entered_at(experiment: Experiment, traces: Traces, effect: str, name: str,
     """
     fit = traces.fit
     bare = without_effect(experiment, fit, effect)
-    start = starts_of(name, experiment)[0]
-    values, bounds = dict(start.values), {p.name: p for p in CATALOGUE[name].parameters}
-    held = effect_values(fit.theta, effect)
-    for p in CATALOGUE[effect].parameters:
-        now = held[p.name]
-        if p.name in values and p.default is not None and (
-                bounds[p.name].lower <= now <= bounds[p.name].upper):
-            values[p.name] = now
-    start = replace(start, values=tuple(values.items()))
+    held, shapes = effect_values(fit.theta, effect), [
+        p.name for p in CATALOGUE[effect].parameters if p.default is not None]
+    start = continuing(starts_of(name, experiment)[0], {key: held[key] for key in shapes})
     origin, gone = (bare.theta, bare.active), f"{effect}|{name}|gone"
     own = [Slope(f"{effect}|{name}|size {i}", model, 1.0, 0.0, origin)
            for i, model in enumerate(directions_of(bare, start))]

@@ -31,6 +31,7 @@ from eha_monitor.mismatch.name.candidates import RIG, candidate
 from eha_monitor.mismatch.name.gram import carried, injected
 from eha_monitor.mismatch.name.starts import (
     Start,
+    continuing,
     directions_of,
     free_parameter,
     own_sizes,
@@ -397,13 +398,8 @@ def grown_from(experiment: Experiment, fit: Fit) -> list[Start]:
         for other in NAMES:
             if other in fit.named or not family & {other, *CATALOGUE[other].contains}:
                 continue
-            bounds = {p.name: p for p in CATALOGUE[other].parameters}
-            for start in starts_of(other, experiment):
-                values = dict(start.values)
-                for key, now in effect_values(fit.theta, name).items():
-                    if key in values and bounds[key].lower <= now <= bounds[key].upper:
-                        values[key] = now
-                found.append(replace(start, values=tuple(values.items()), replaces=name))
+            found += [replace(continuing(start, effect_values(fit.theta, name)), replaces=name)
+                      for start in starts_of(other, experiment)]
     return found
 
 

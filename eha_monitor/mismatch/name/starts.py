@@ -1,5 +1,6 @@
 """What every model fits and within which limits; where effects enter it, and are taken out."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -214,6 +215,14 @@ def sharing(start: Start, shared: dict[str, float]) -> Start:
     bounds = {p.name: p for p in CATALOGUE[start.effect].parameters}
     return replace(start, values=tuple(
         (key, min(max(shared[key], bounds[key].lower), bounds[key].upper) if key in shared
+         else value) for key, value in start.values))
+
+
+def continuing(start: Start, held: Mapping[str, float]) -> Start:
+    """Return a start with another effect's numbers where it has them and they are in bounds."""
+    bounds = {p.name: p for p in CATALOGUE[start.effect].parameters}
+    return replace(start, values=tuple(
+        (key, held[key] if key in held and bounds[key].lower <= held[key] <= bounds[key].upper
          else value) for key, value in start.values))
 
 
