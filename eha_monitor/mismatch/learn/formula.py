@@ -18,8 +18,8 @@ from scipy.linalg import cholesky, solve_triangular
 
 from eha_monitor import ties
 from eha_monitor.mismatch.data.experiment import Experiment
-from eha_monitor.mismatch.learn.learned import SHARPEST, Form, Learned, score_of
-from eha_monitor.mismatch.likelihood.fit import Fit, Free, remade, spread
+from eha_monitor.mismatch.learn.learned import SHARPEST, Form, Learned, score_of, with_own
+from eha_monitor.mismatch.likelihood.fit import Fit, Free, spread
 from eha_monitor.mismatch.name.finalists import CLOSE
 from eha_monitor.mismatch.name.refit import settled
 from eha_monitor.physics.contributions import ALL_NAMES, slot_of
@@ -343,15 +343,10 @@ def refitted(experiment: Experiment, learned: Learned, shape: Shape, values: dic
     """Return a formula fitted to the recording, in the table's place, beside all else."""
     form, which = learned.table.form, learned.which
     text, values = as_expression(shape, form, values, learned.scale)
-    expression = parsed(text)
-    slot, own = slot_of(which), ALL_NAMES[which]
-    theta, active = learned.fit.theta.copy(), learned.fit.active.copy()
-    theta[slot] = expression.slot(form.adds, values)
-    y = learned.values / learned.divisor
+    y, free, places = learned.values / learned.divisor, [], constants_in(which, text)
     fastest = max(experiment.ranges.speed, 1e-9)
-    free = [f for f in learned.fit.free if f.owner != own]
-    for key, place in expression.parameters.items():
-        at, name = slot.start + CONSTANTS + place, f"{own}.{key}"
+    for key, at in places.items():
+        name = f"{ALL_NAMES[which]}.{key}"
         if key == "v_e":
             free.append(Free(name, at, SHARPEST * fastest, fastest,
                              float(np.log(values[key])), experiment.policy.shape, True))
@@ -361,12 +356,17 @@ def refitted(experiment: Experiment, learned: Learned, shape: Shape, values: dic
         else:
             size = scale_of(shape.units[key], learned.knots, y)
             free.append(Free(name, at, -1e3 * size, 1e3 * size, 0.0, WIDE * size))
-    made = settled(experiment, remade(
-        experiment, learned.fit, theta=theta, active=active, free=tuple(free)))
-    found = {key: float(made.theta[slot.start + CONSTANTS + place])
-             for key, place in expression.parameters.items()}
+    made = settled(experiment, with_own(
+        experiment, learned.fit, which, parsed(text).slot(form.adds, values), free))
+    found = {key: float(made.theta[at]) for key, at in places.items()}
     return Formula(shape.name, text, found, shown_as(shape, form, found), made,
                    score_of(experiment, made) + experiment.policy.unnamed)
+
+
+def constants_in(which: int, text: str) -> dict[str, int]:
+    """Return the places in theta of the parameters of an own term's expression, by name."""
+    return {key: slot_of(which).start + CONSTANTS + place
+            for key, place in parsed(text).parameters.items()}
 
 
 def as_expression(shape: Shape, form: Form, values: dict[str, float], scale: float

@@ -308,21 +308,30 @@ def entered_at_best(experiment: Experiment, base: Fit, which: int, guess: Guess)
                key=lambda fit: fit.log_likelihood)
 
 
+def with_own(experiment: Experiment, base: Fit, which: int, numbers: np.ndarray,
+             free: Sequence[Free]) -> Fit:
+    """Return a model with ``numbers`` in the slot of an own term, not yet refitted.
+
+    ``free`` : how they are fitted, in place of what the model has there.
+    """
+    theta, active = base.theta.copy(), base.active.copy()
+    theta[slot_of(which)], active[which] = numbers, True
+    return remade(experiment, base, theta=theta, active=active, free=(
+        *(f for f in base.free if f.owner != ALL_NAMES[which]), *free))
+
+
 def entered(experiment: Experiment, base: Fit, which: int, guess: Guess, values: np.ndarray
             ) -> Fit:
     """Return a model with a table entered, not yet refitted; ``values`` (n,) SI."""
     form, slot = guess.table.form, slot_of(which)
-    theta, active = base.theta.copy(), base.active.copy()
-    theta[slot] = slot_for(guess.table.entry(values))
-    active[which] = True
     width = WIDE * max(float(np.sqrt(np.mean(guess.values**2))), 1e-30)
-    free = tuple(Free(knot_name(which, i), slot.start + VALUES + i, -1e3 * width, 1e3 * width,
-                      0.0, width) for i in range(len(values)))
+    free = [Free(knot_name(which, i), slot.start + VALUES + i, -1e3 * width, 1e3 * width,
+                 0.0, width) for i in range(len(values))]
     if form.times == "direction":
         fastest = max(experiment.ranges.speed, 1e-9)
-        free += (Free(f"{ALL_NAMES[which]}.scale", slot.start + SCALE, SHARPEST * fastest,
-                      fastest, float(np.log(guess.table.scale)), experiment.policy.shape, True),)
-    return remade(experiment, base, theta=theta, active=active, free=base.free + free)
+        free.append(Free(f"{ALL_NAMES[which]}.scale", slot.start + SCALE, SHARPEST * fastest,
+                         fastest, float(np.log(guess.table.scale)), experiment.policy.shape, True))
+    return with_own(experiment, base, which, slot_for(guess.table.entry(values)), free)
 
 
 def bases_of(experiment: Experiment, naming: Naming) -> list[Fit]:
@@ -354,11 +363,9 @@ def fitted(experiment: Experiment, start: Fit, which: int, guess: Guess, count: 
 
 def finer(experiment: Experiment, coarse: Learned, count: int) -> Learned:
     """Return a learned term with more values, fitted from where it stands."""
-    places = coarse.table.knots(count)
     guess = Guess(replace(coarse.table, scale=coarse.scale), coarse.evidence, coarse.values)
-    plain = replace(coarse.fit, free=tuple(
-        f for f in coarse.fit.free if f.owner != ALL_NAMES[coarse.which]))
-    start = entered(experiment, plain, coarse.which, guess, coarse.curve(places)[0])
+    start = entered(experiment, coarse.fit, coarse.which, guess,
+                    coarse.curve(coarse.table.knots(count))[0])
     return fitted(experiment, start, coarse.which, guess, count, coarse.without)
 
 
