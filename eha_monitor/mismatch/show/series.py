@@ -25,12 +25,7 @@ from eha_monitor.mismatch.data.experiment import (
 )
 from eha_monitor.mismatch.data.inputs import CLOSED, OPEN
 from eha_monitor.mismatch.likelihood.fit import Fit, filtered, spread
-from eha_monitor.mismatch.locate.terms import (
-    modelled_flow,
-    modelled_force,
-    modelled_speed,
-    unexplained_terms,
-)
+from eha_monitor.mismatch.locate.terms import made_by, unexplained_terms
 from eha_monitor.mismatch.name.nominal import nominal
 from eha_monitor.physics.contributions import ALL_NAMES
 from eha_monitor.physics.parameters import theta_of
@@ -134,14 +129,8 @@ def _unknowns(experiment: Experiment, bare: Fit, fit: Fit, names: tuple[str, ...
     """Return what the filter's unknown force, flow and speed and the named effects make."""
     found: dict[str, list[Lack]] = {}
     for term in unexplained_terms(experiment, fit):
-        made = []
-        for stretch, track in zip(experiment.stretches, term.tracks, strict=True):
-            if term.balance == "force":
-                made.append(modelled_force(experiment, fit, track, names))
-            elif term.balance == "flow":
-                made.append(modelled_flow(experiment, fit, track, names))
-            else:
-                made.append(modelled_speed(experiment, bare, fit, stretch, track))
+        made = [made_by(experiment, bare, fit, term.balance, stretch, track, names)
+                for stretch, track in zip(experiment.stretches, term.tracks, strict=True)]
         found[term.balance] = [Lack(left + one, one, left)
                                for left, one in zip(term.measured, made, strict=True)]
     return found
