@@ -135,15 +135,15 @@ class Refits:
                   if names not in self.refused}
         return ties.best(scores, scores.get, plainness, self.policy.temper * ties.SAME_FIT)
 
-    def ahead(self, done: dict[Names, float], enough: float) -> tuple[Names, Fit] | None:
+    def ahead(self, done: dict[Names, float]) -> tuple[Names, Fit] | None:
         """Return the model where the search goes on; None where it has been everywhere.
 
         That is the set with the highest evidence that no gate has refused, if it counts for
         something more than those that were linearised before; and at last the one with the highest
         score.
 
-        ``done`` : names -> evidence with which a model was linearised before; one that has gained
-            ``enough`` since is linearised again.
+        ``done`` : names -> evidence with which a model was linearised before; one that has
+            gained ``STRAYED`` since is linearised again.
         """
         best = self.best()
         known = {names: (self.fits[names], value) for names, value in self.evidence.items()
@@ -156,7 +156,7 @@ class Refits:
         went = max((value for names, value in done.items() if names not in self.refused),
                    default=-np.inf)
         for names, (fit, value) in ((highest, every[highest]), (best, known[best])):
-            if value > done.get(names, -np.inf) + enough and (
+            if value > done.get(names, -np.inf) + STRAYED and (
                     names == best or self.pursued(value, went)):
                 return names, fit
         return None

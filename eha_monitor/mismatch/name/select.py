@@ -118,10 +118,10 @@ class Search:
     Attributes
     ----------
     experiment, nominal : the samples that it is made on, and the nominal model fitted to them.
-    refits : every refitted set.
     manner : what it is told; ``sketch`` it is made on some of the samples, to begin with, and
         nothing is fitted to the end.
     bare : the nominal model with nothing of the rig free.
+    refits : every refitted set.
     widely : also from other places of the nominal model; else from what a sketch has found.
     views : names -> linearisation at a refitted model.
     done : names -> evidence with which a model was linearised.
@@ -133,10 +133,10 @@ class Search:
 
     experiment: Experiment
     nominal: Fit
-    refits: Refits
     manner: Manner = PLAINLY
     sketch: bool = False
     bare: Fit | None = None
+    refits: Refits = field(init=False)
     widely: bool = True
     views: dict[Names, Linearised] = field(default_factory=dict)
     done: dict[Names, float] = field(default_factory=dict)
@@ -147,13 +147,9 @@ class Search:
     lack: float = np.inf
     vain: bool = False
 
-    @classmethod
-    def at(cls, experiment: Experiment, nominal: Fit, manner: Manner = PLAINLY,
-           sketch: bool = False, bare: Fit | None = None) -> "Search":
-        """Return a search at its beginning."""
-        refits = Refits(experiment.policy)
-        refits.add(experiment, frozenset(), nominal)
-        return cls(experiment, nominal, refits, manner, sketch, bare, ended=sketch)
+    def __post_init__(self):
+        self.refits, self.ended = Refits(self.experiment.policy), self.sketch
+        self.refits.add(self.experiment, frozenset(), self.nominal)
 
     def leave(self) -> None:
         """Ask once, where the best model lacks a log unit a sample, whether to go elsewhere.
@@ -270,7 +266,7 @@ def begun(experiment: Experiment, say: Report = silent, manner: Manner = PLAINLY
     if not near:
         start = likeliest((nominal_model(experiment, within=True), start))
     start = likeliest((start, from_config(experiment)))
-    search = Search.at(experiment, start, manner, bare=first)
+    search = Search(experiment, start, manner, bare=first)
     if not search.refits.evidence:
         raise np.linalg.LinAlgError("the nominal model's evidence is singular")
     search.going_on_from(known)
@@ -279,7 +275,7 @@ def begun(experiment: Experiment, say: Report = silent, manner: Manner = PLAINLY
     sketch = sketch_of(experiment, start) if search.widely and not known else None
     if sketch is not None:
         say("searching a third of the samples", 0.1)
-        found = explored(Search.at(sketch, with_unknowns(sketch, start), manner, sketch=True), say)
+        found = explored(Search(sketch, with_unknowns(sketch, start), manner, sketch=True), say)
         if manner.may_end and lack_of(sketch, found.found) > experiment.policy.lacking:
             raise Unfollowed
         caught_up(sketch, found.refits)
@@ -349,7 +345,7 @@ def explored(search: Search, say: Report) -> Search:
                 break
             refit(experiment, view, chosen, refits)
             search.leave()
-            if refits.ahead(done, STRAYED) is not None:
+            if refits.ahead(done) is not None:
                 break
     return search
 
@@ -379,14 +375,14 @@ def next_place(search: Search, turn: int) -> tuple[Names, Fit] | None:
             raise Unfollowed
         search.far, search.lack = True, np.inf
         return frozenset(), other
-    at = search.refits.ahead(search.done, STRAYED)
+    at = search.refits.ahead(search.done)
     if at is None and not search.viewed:
         search.look_at_first_view()
-        at = search.refits.ahead(search.done, STRAYED)
+        at = search.refits.ahead(search.done)
     if at is None and not search.ended:
         finish(experiment, search.refits)
         search.ended = True
-        at = search.refits.ahead(search.done, STRAYED)
+        at = search.refits.ahead(search.done)
     wider = search.widely and not search.manner.close
     other = unbent(search) if turn == 1 and wider else None
     if other is None and at is None and wider and not search.far:
