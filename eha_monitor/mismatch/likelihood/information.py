@@ -90,10 +90,8 @@ class Gram:
         i, j = self.places(wanted), self.places(absorbing)
         if not j:
             return g[np.ix_(i, i)]
-        inner = g[np.ix_(j, j)] + np.diag([weights.get(label, 0.0) for label in absorbing])
-        scale = np.sqrt(np.maximum(np.diag(inner), 1e-300))
+        inner, scale = scaled(g[np.ix_(j, j)], absorbing, weights)
         cross = g[np.ix_(j, i)] / scale[:, None]
-        inner = inner / np.outer(scale, scale) + 1e-13 * np.eye(len(j))
         left = g[np.ix_(i, i)] - cross.T @ np.linalg.solve(inner, cross)
         return 0.5 * (left + left.T)
 
@@ -102,11 +100,17 @@ class Gram:
         """Return by how much each absorbing slope moves when ``moved`` is there and left out."""
         g = self.part if steady else self.whole
         (i,), j = self.places([moved]), self.places(absorbing)
-        inner = g[np.ix_(j, j)] + np.diag([weights.get(label, 0.0) for label in absorbing])
-        scale = np.sqrt(np.maximum(np.diag(inner), 1e-300))
-        inner = inner / np.outer(scale, scale) + 1e-13 * np.eye(len(j))
+        inner, scale = scaled(g[np.ix_(j, j)], absorbing, weights)
         found = np.linalg.solve(inner, g[j, i] / scale) / scale
         return dict(zip(absorbing, map(float, found), strict=True))
+
+
+def scaled(inner: np.ndarray, labels: Sequence[str], weights: dict[str, float]
+           ) -> tuple[np.ndarray, np.ndarray]:
+    """Return products of slopes and their priors in units of their roots, and these, (k,)."""
+    inner = inner + np.diag([weights.get(label, 0.0) for label in labels])
+    scale = np.sqrt(np.maximum(np.diag(inner), 1e-300))
+    return inner / np.outer(scale, scale) + 1e-13 * np.eye(len(scale)), scale
 
 
 def gain_of(squares: float, count: int) -> float:
