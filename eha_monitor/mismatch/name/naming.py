@@ -14,9 +14,16 @@ from eha_monitor.mismatch.name.candidates import RIG, all_named, candidate
 from eha_monitor.mismatch.name.columns import loads_of, runs_of
 from eha_monitor.mismatch.name.gram import evidences_at
 from eha_monitor.mismatch.name.nominal import lack_of, lacks
-from eha_monitor.mismatch.name.posterior import Names, plainness, posterior, refused_evidence
+from eha_monitor.mismatch.name.posterior import (
+    Names,
+    Refits,
+    plainness,
+    posterior,
+    refused_evidence,
+)
+from eha_monitor.mismatch.name.proposals import Linearised
 from eha_monitor.mismatch.name.refit import settled
-from eha_monitor.mismatch.name.select import Search, Selection, finished
+from eha_monitor.mismatch.name.select import Search, finished
 from eha_monitor.mismatch.name.starts import limits_of
 from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.progress import Report, silent
@@ -128,17 +135,18 @@ def name_effects(search: Search, report: Report | None = None) -> Naming:
         If the search may end so.
     """
     say = report or silent
-    found = finished(search, say)
+    views = finished(search, say)
     say("fitting the nominal model to the end", 0.9)
-    before = settled(found.experiment, found.nominal)
-    return naming_of(found.experiment, found, before)
+    return naming_of(search.experiment, search.refits, views,
+                     settled(search.experiment, search.bare))
 
 
-def naming_of(experiment: Experiment, found: Selection, before: Fit) -> Naming:
-    """Return names and probabilities of a selection."""
-    refits, best = found.refits, found.refits.best()
+def naming_of(experiment: Experiment, refits: Refits,
+              views: tuple[Linearised | None, Linearised], before: Fit) -> Naming:
+    """Return names and probabilities of a search; ``views`` as :func:`finished` returns them."""
+    best, beside = refits.best(), views[1]
     weights = posterior(refits, [
-        (view.here, view.ranking) for view in (found.view, found.beside) if view is not None])
+        (view.here, view.ranking) for view in views if view is not None])
     scores = refits.scores()
     after = refits.fits[best]
     gates = tuple(gate for failed in refits.refused.values() for gate in failed)
@@ -171,12 +179,12 @@ def naming_of(experiment: Experiment, found: Selection, before: Fit) -> Naming:
     acting = float(sum(weight for names, weight in weights.items() if INTERMITTENT in names))
     needs = after.unknowns
     if acting > experiment.policy.likely:  # a load that comes and goes has a name, and intervals
-        one = next(one for one in found.beside.ranking if INTERMITTENT in one.names)
+        one = next(one for one in beside.ranking if INTERMITTENT in one.names)
         loads = loads_of(experiment, np.array([
             value for place, value in sorted(one.amplitudes.items())
-            if found.beside.what[place].owner == INTERMITTENT]))
+            if beside.what[place].owner == INTERMITTENT]))
         probability[INTERMITTENT], rivals[INTERMITTENT] = acting, ()
-        own = found.beside.own
+        own = beside.own
         evidence[INTERMITTENT] = max(one.evidence - own.evidence, 0.0) if own else np.inf
         unnamed, needs = unnamed - acting, one.gram.unknowns
     beyond = beyond_form(experiment, before, after, needs)

@@ -70,25 +70,6 @@ class Unfollowed(Exception):
 
 
 @dataclass(frozen=True)
-class Selection:
-    """What the joint selection found.
-
-    Attributes
-    ----------
-    experiment : with integration steps that resolve the damping that was found.
-    nominal, refits : the model without effects; every refitted set.
-    view : sets with names by the linear guess from the best model, if the search came there;
-        ``beside`` what has no name, beside parts of the best.
-    """
-
-    experiment: Experiment
-    nominal: Fit
-    refits: Refits
-    view: Linearised | None
-    beside: Linearised
-
-
-@dataclass(frozen=True)
 class Manner:
     """What a search is told of the recording.
 
@@ -287,8 +268,13 @@ def begun(experiment: Experiment, say: Report = silent, manner: Manner = PLAINLY
     return search
 
 
-def finished(search: Search, say: Report = silent) -> Selection:
-    """Return what a search ends with: what hid behind a set that is no answer is sought as well.
+def finished(search: Search, say: Report = silent) -> tuple[Linearised | None, Linearised]:
+    """Make a search to its end: what hid behind a set that is no answer is sought as well.
+
+    Returns
+    -------
+    view : sets with names by the linear guess from the best model, if the search came there.
+    beside : what has no name, beside parts of the best.
 
     Raises
     ------
@@ -301,8 +287,7 @@ def finished(search: Search, say: Report = silent) -> Selection:
         gated(experiment, explored(search, say).refits)
     best = refits.best()
     say("weighing effects not in the catalogue", 0.85)
-    return Selection(experiment, search.bare, refits, search.views.get(best),
-                     beside(experiment, best, refits.fits[best]))
+    return search.views.get(best), beside(experiment, best, refits.fits[best])
 
 
 def sketch_of(experiment: Experiment, start: Fit) -> Experiment | None:
