@@ -68,34 +68,23 @@ def verdict_of(naming: Naming) -> str:
 
 @dataclass(frozen=True)
 class _Draft:
-    """An answer on its way to the record.
+    """An answer on its way to the record."""
 
-    Attributes
-    ----------
-    shown : the experiment of the data on which the fit is shown.
-    asked : what the search named, as it is.
-    naming : the same with the deviations of its fits as they are stated, and what gates and a
-        learned term change of it.
-    signals : errors on unseen data before and after.
-    test : of the user's hypothesis; ``told`` a model with a term that no catalogue has.
-    effects, wrong, within : what is an answer: effects, numbers of the rig, and those that moved
-        within their tolerance.
-    refitted : effects of the model; ``as_written`` those of them that are as the config says.
-    """
-
-    shown: Experiment
-    asked: Naming
+    shown: Experiment  # the experiment of the data on which the fit is shown
+    asked: Naming  # what the search named, as it is
+    # The same with the deviations of its fits as they are stated, and what gates and a
+    # learned term change of it
     naming: Naming
     verdict: str
     gates: tuple[Gate, ...]
-    signals: dict[str, SignalFit]
-    test: Tested | None = None
-    told: ValidatedTerm | None = None
-    effects: tuple[NamedEffect, ...] = ()
-    wrong: tuple[RigFinding, ...] = ()
-    within: tuple[RigFinding, ...] = ()
-    refitted: tuple[str, ...] = ()
-    as_written: tuple[str, ...] = ()
+    signals: dict[str, SignalFit]  # errors on unseen data before and after
+    test: Tested | None = None  # of the user's hypothesis
+    told: ValidatedTerm | None = None  # a model with a term that no catalogue has
+    effects: tuple[NamedEffect, ...] = ()  # that are an answer
+    wrong: tuple[RigFinding, ...] = ()  # numbers of the rig that are
+    within: tuple[RigFinding, ...] = ()  # those that moved within their tolerance
+    refitted: tuple[str, ...] = ()  # effects of the model
+    as_written: tuple[str, ...] = ()  # those of them that are as the config says
 
     @property
     def experiment(self) -> Experiment:

@@ -31,21 +31,14 @@ BASE = ("B", "beta_e")
 
 @dataclass(frozen=True)
 class Direction:
-    """One size of one effect and its trace.
+    """One size of one effect and its trace."""
 
-    Attributes
-    ----------
-    effect, parameter, unit : of the catalogue.
-    amount : value of the size at which the trace was taken, SI; ``label`` its row in the Gram.
-    start : the start that it comes from.
-    """
-
-    effect: str
+    effect: str  # of the catalogue
     parameter: str
     unit: str
-    amount: float
-    label: str
-    start: Start
+    amount: float  # value of the size at which the trace was taken, SI
+    label: str  # its row in the Gram
+    start: Start  # that it comes from
 
 
 @dataclass(frozen=True)

@@ -70,30 +70,20 @@ FORM = 1e-3  # of a trace's squares: no model is right to 3 % of an effect, so l
 
 @dataclass(frozen=True)
 class Question:
-    """Two models between which the recording is to decide.
+    """Two models between which the recording is to decide."""
 
-    Attributes
-    ----------
-    effect : that is there; ``rival`` the effect that may be there instead, or "" where B and
-        beta_e alone may take its part.
-    parameter : ``B`` or ``beta_e`` where the question is what of it is the effect, or "".
-    steady : only the recording's plateaus count, and the motion away from its reversals:
-        the answer then does not hang on how friction reverses.
-    truth, other : the model with the effect, and the other one.
-    amount : of the effect in which they differ, SI; ``symbol`` its size, in ``unit``.
-    reference : which of the two is the fit at which slopes are taken: ``truth`` or ``other``.
-    """
-
-    effect: str
-    rival: str
-    parameter: str
+    effect: str  # that is there
+    rival: str  # effect that may be there instead; "": B and beta_e alone may take its part
+    parameter: str  # ``B`` or ``beta_e`` where the question is what of it is the effect, or ""
+    # Only the recording's plateaus count, and the motion away from its reversals: the answer
+    # then does not hang on how friction reverses
     steady: bool
-    truth: Fit
-    other: Fit
-    amount: float
-    symbol: str
+    truth: Fit  # the model with the effect
+    other: Fit  # the other one
+    amount: float  # of the effect in which they differ, SI
+    symbol: str  # its size
     unit: str
-    reference: str = "truth"
+    reference: str = "truth"  # which of the two is the fit at which slopes are taken
 
     @property
     def label(self) -> str:
@@ -175,34 +165,20 @@ class Doubt:
 
 @dataclass(frozen=True)
 class Advice:
-    """What a recording separates, what it leaves open, and what to record next.
+    """What a recording separates, what it leaves open, and what to record next."""
 
-    Attributes
-    ----------
-    known : the fitted parameters.
-    plateaus : share of the recording in which the speed is steady.
-    confusions : health parameters and effects that take one another's part.
-    detection_limits : from which size on each effect shows.
-    groups : effects that show, but not which of them it is.
-    doubts : what is to be settled; ``motion`` the cheapest that does, None where none does or
-        nothing is in doubt; ``tried`` what was considered, with log units for each doubt.
-    checks : the proposed motion in simulation.
-    plannable : False where the config has too little to simulate a motion.
-    said : what the balances advise, where they answer.
-    """
-
-    known: tuple[Known, ...]
-    plateaus: float
-    confusions: tuple[Confusion, ...]
-    detection_limits: tuple[DetectionLimit, ...]
-    groups: tuple[tuple[str, ...], ...]
-    doubts: tuple[Doubt, ...]
-    motion: Motion | None
-    tried: tuple[Tried, ...]
-    checks: tuple[Check, ...]
-    plannable: bool
+    known: tuple[Known, ...]  # the fitted parameters
+    plateaus: float  # share of the recording in which the speed is steady
+    confusions: tuple[Confusion, ...]  # health parameters and effects that take one another's part
+    detection_limits: tuple[DetectionLimit, ...]  # from which size on each effect shows
+    groups: tuple[tuple[str, ...], ...]  # effects that show, but not which of them it is
+    doubts: tuple[Doubt, ...]  # what is to be settled
+    motion: Motion | None  # the cheapest that does; None where none does, or nothing is in doubt
+    tried: tuple[Tried, ...]  # what was considered, with log units for each doubt
+    checks: tuple[Check, ...]  # the proposed motion in simulation
+    plannable: bool  # False where the config has too little to simulate a motion
     damping_unit: str = "N·s/m"
-    said: tuple[str, ...] = ()
+    said: tuple[str, ...] = ()  # what the balances advise, where they answer
 
 
 def instead(experiment: Experiment, fit: Fit, effect: str, rival: Fit, name: str) -> Fit:

@@ -214,21 +214,14 @@ WIDE = 3.0  # times its own size: the prior deviation of a formula's parameter
 
 @dataclass(frozen=True)
 class Formula:
-    """A formula in the place of a table.
+    """A formula in the place of a table."""
 
-    Attributes
-    ----------
-    shape : which; ``text`` the expression of a config, ``values`` its parameters, SI.
-    shown : with its numbers, as a person reads it.
-    fit : the model with it; ``evidence`` log units, comparable with :attr:`Learned.evidence`.
-    """
-
-    shape: str
-    text: str
-    values: dict[str, float]
-    shown: str
-    fit: Fit
-    evidence: float
+    shape: str  # which
+    text: str  # expression of a config
+    values: dict[str, float]  # its parameters, SI
+    shown: str  # with its numbers, as a person reads it
+    fit: Fit  # the model with it
+    evidence: float  # log units, comparable with :attr:`Learned.evidence`
 
     def entry(self, adds: str) -> dict:
         """Return it as an entry of a config's ``effects``."""

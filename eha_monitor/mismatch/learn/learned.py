@@ -43,19 +43,11 @@ BALANCE = {adds: unknown.partition("_")[0] for adds, unknown in UNKNOWN.items()}
 
 @dataclass(frozen=True)
 class Form:
-    """A way in which a missing term may depend on the signals; keys of an own term's table.
+    """A way in which a missing term may depend on the signals; keys of an own term's table."""
 
-    Attributes
-    ----------
-    adds : ``force`` N, ``flow``, ``flow_1``, ``flow_2`` m³/s or ``speed`` rad/s.
-    of : the signal of the table.
-    times : what the table's value is multiplied by: ``none``, ``direction``, ``v``, ``dp`` or
-        ``omega``.
-    """
-
-    adds: str
-    of: str
-    times: str = "none"
+    adds: str  # ``force`` N, ``flow``, ``flow_1``, ``flow_2`` m³/s or ``speed`` rad/s
+    of: str  # signal of the table
+    times: str = "none"  # factor of its value: ``none``, ``direction``, ``v``, ``dp`` or ``omega``
 
     @property
     def name(self) -> str:
@@ -101,18 +93,13 @@ def factor_along(track: np.ndarray, times: str, scale: float) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Table:
-    """A form over the range that a recording covers.
-
-    Attributes
-    ----------
-    first, last : ends of the table, SI;  ``scale`` of its factor;  ``unit`` of its values, SI.
-    """
+    """A form over the range that a recording covers."""
 
     form: Form
-    first: float
+    first: float  # ends of the table, SI
     last: float
-    scale: float
-    unit: float
+    scale: float  # of its factor
+    unit: float  # of its values, SI
 
     def knots(self, count: int) -> np.ndarray:
         """Return the places of its values, (count,) SI."""
@@ -127,19 +114,14 @@ class Table:
 
 @dataclass(frozen=True)
 class Guess:
-    """A table with its curve by the linear guess.
-
-    Attributes
-    ----------
-    evidence, values : log units, and (KNOTS,) SI.
-    ranked : the same guess of all other numbers, of ``what`` columns; its level of the unknowns.
-    """
+    """A table with its curve by the linear guess."""
 
     table: Table
-    evidence: float
-    values: np.ndarray
+    evidence: float  # log units
+    values: np.ndarray  # (KNOTS,) SI
+    # The same guess of all other numbers, at its level of the unknowns
     ranked: Ranked | None = None
-    what: tuple[Column, ...] = ()
+    what: tuple[Column, ...] = ()  # whose its columns are
 
 
 def tables_of(experiment: Experiment, fit: Fit) -> tuple[Table, ...]:
@@ -232,25 +214,16 @@ SHARPEST = 1e-5  # of the largest speed
 
 @dataclass(frozen=True)
 class Learned:
-    """A model with a learned term.
+    """A model with a learned term."""
 
-    Attributes
-    ----------
-    table : as it was entered; ``count`` of its values, ``which`` place of its own term among all
-        effects.
-    fit : the model; ``evidence`` of it, log units, prior odds of its names included.
-    without : the best model without it; ``gained`` log units over that.
-    decides : it explains more than the form error of what was named can be.
-    """
-
-    table: Table
-    count: int
-    which: int
-    fit: Fit
-    evidence: float
-    without: Fit
-    gained: float
-    decides: bool = True
+    table: Table  # as it was entered
+    count: int  # of its values
+    which: int  # place of its own term among all effects
+    fit: Fit  # the model
+    evidence: float  # of it, log units, prior odds of its names included
+    without: Fit  # the best model without it
+    gained: float  # log units over that
+    decides: bool = True  # it explains more than the form error of what was named can be
 
     @property
     def balance(self) -> str:

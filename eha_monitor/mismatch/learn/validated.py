@@ -58,29 +58,18 @@ WHAT = {"force": "force", "flow": "flow between the chambers", "flow_1": "flow i
 
 @dataclass(frozen=True)
 class ValidatedTerm:
-    """A model with a term that no catalogue has, which holds on unseen data.
+    """A model with a term that no catalogue has, which holds on unseen data."""
 
-    Attributes
-    ----------
-    fit : the model that runs, with the formula where one is given; its names are ``fit.named``.
-    signals : errors on unseen data, of the nominal model and of this one.
-    missing : the term along the recording, measured and modelled.
-    gained : log units over the best model without it.
-    decides : it explains more than the form error of what was named can be.
-    entry : of a config's ``effects``; ``name`` of it there.
-    term : the record of a learned one; None where it is the user's own.
-    effect : the record of the user's own; None where it was learned.
-    """
-
+    # The model that runs, with the formula where one is given; its names are ``fit.named``
     fit: Fit
-    signals: dict[str, SignalFit]
-    missing: Missing
-    gained: float
-    decides: bool
-    entry: dict
-    name: str
-    term: LearnedTerm | None = None
-    effect: NamedEffect | None = None
+    signals: dict[str, SignalFit]  # errors on unseen data, of the nominal model and of this one
+    missing: Missing  # the term along the recording, measured and modelled
+    gained: float  # log units over the best model without it
+    decides: bool  # it explains more than the form error of what was named can be
+    entry: dict  # of a config's ``effects``
+    name: str  # of it there
+    term: LearnedTerm | None = None  # the record of a learned one
+    effect: NamedEffect | None = None  # the record of the user's own
 
 
 def validated_term(experiment: Experiment, unseen: Experiment, naming: Naming
@@ -237,22 +226,15 @@ SHARES = (0.15, 0.5, 0.85)  # of the way from bound to bound: where a parameter 
 
 @dataclass(frozen=True)
 class Tested:
-    """A hypothesis fitted to a recording.
-
-    Attributes
-    ----------
-    which : place of its own term; ``fit`` the model with it, ``without`` the best one without it.
-    gained : log units over that one, prior odds included; ``temper`` of them counts.
-    values : its parameters, SI.
-    """
+    """A hypothesis fitted to a recording."""
 
     hypothesis: Hypothesis
-    which: int
-    fit: Fit
-    without: Fit
-    gained: float
-    temper: float
-    values: dict[str, float]
+    which: int  # place of its own term
+    fit: Fit  # the model with it
+    without: Fit  # the best one without it
+    gained: float  # log units over that one, prior odds included
+    temper: float  # of them, how much counts
+    values: dict[str, float]  # its parameters, SI
 
     @property
     def probability(self) -> float:

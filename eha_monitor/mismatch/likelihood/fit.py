@@ -38,23 +38,15 @@ SINGULAR = 1e-12  # of a correlation: what rounding may make of it
 
 @dataclass(frozen=True)
 class Free:
-    """One fitted parameter.
+    """One fitted parameter."""
 
-    Attributes
-    ----------
-    name : ``B``, ``beta_e`` or ``<effect>.<parameter>``; ``place`` its place in theta.
-    lower, upper : bounds, SI.
-    prior, spread : Gaussian prior in the fitted coordinate.
-    log : fitted as its logarithm.
-    """
-
-    name: str
-    place: int
-    lower: float
+    name: str  # ``B``, ``beta_e``, ``rig.<key>`` or ``<effect>.<parameter>``
+    place: int  # in theta
+    lower: float  # bounds, SI
     upper: float
-    prior: float
+    prior: float  # Gaussian prior in the fitted coordinate
     spread: float
-    log: bool = False
+    log: bool = False  # fitted as its logarithm
 
     @property
     def owner(self) -> str:
@@ -89,31 +81,21 @@ class Free:
 
 @dataclass(frozen=True)
 class Fit:
-    """A fitted model; immutable.
+    """A fitted model; immutable."""
 
-    Attributes
-    ----------
-    theta, active : parameters of the equations and active effects.
-    free : what was fitted; ``covariance`` (k, k) in their coordinates.
-    unknowns : deviations of the unexplained force, flow and speed; ``gains`` of the filter.
-    e : (N, c) innovations of the counted samples, SI; ``s`` (c, c) their covariance.
-    log_likelihood : of the innovations plus the prior's exponent.
-    named : effects of the catalogue that the fit has, in the order in which they were found;
-        small timing errors that every record has are active but not named.
-    converged : False where the steps ran out.
-    """
-
-    theta: np.ndarray
-    active: np.ndarray
-    free: tuple[Free, ...]
-    unknowns: Unknowns
-    gains: np.ndarray
-    e: np.ndarray
-    s: np.ndarray
-    log_likelihood: float
-    covariance: np.ndarray
+    theta: np.ndarray  # parameters of the equations
+    active: np.ndarray  # effects that are active
+    free: tuple[Free, ...]  # what was fitted
+    unknowns: Unknowns  # deviations of the unexplained force, flow and speed
+    gains: np.ndarray  # of the filter
+    e: np.ndarray  # (N, c) innovations of the counted samples, SI
+    s: np.ndarray  # (c, c) their covariance
+    log_likelihood: float  # of the innovations plus the prior's exponent
+    covariance: np.ndarray  # (k, k) of what was fitted, in its coordinates
+    # Effects of the catalogue that the fit has, in the order in which they were found; small
+    # timing errors that every record has are active but not named
     named: tuple[str, ...] = ()
-    converged: bool = True
+    converged: bool = True  # False where the steps ran out
 
     def value(self, name: str) -> float:
         """Return a fitted parameter by name."""

@@ -32,39 +32,24 @@ Model = tuple[np.ndarray, np.ndarray]  # theta, active
 
 @dataclass(frozen=True)
 class Slope:
-    """A move of the model whose trace in the innovations is wanted.
+    """A move of the model whose trace in the innovations is wanted."""
 
-    Attributes
-    ----------
-    label : its name in a :class:`Gram`.
-    model : theta and active effects after the move; ``origin`` before it, None at the fit.
-    step : length of the move; the trace is divided by it.
-    weight : of the prior on it, per unit of the move squared.
-    """
-
-    label: str
-    model: Model
-    step: float = 1.0
-    weight: float = 0.0
-    origin: Model | None = None
+    label: str  # its name in a :class:`Gram`
+    model: Model  # theta and active effects after the move
+    step: float = 1.0  # length of the move; the trace is divided by it
+    weight: float = 0.0  # of the prior on it, per unit of the move squared
+    origin: Model | None = None  # before the move; None: at the fit
 
 
 @dataclass(frozen=True)
 class Gram:
-    """Products of whitened slopes, (m, m), over all samples and over some.
+    """Products of whitened slopes, (m, m), over all samples and over some."""
 
-    Attributes
-    ----------
-    labels : names of the rows.
-    whole : over all counted samples; ``part`` over plateaus, or away from reversals.
-    count : counted samples; ``count_part`` those of ``part``.
-    """
-
-    labels: tuple[str, ...]
-    whole: np.ndarray
-    part: np.ndarray
-    count: int
-    count_part: int
+    labels: tuple[str, ...]  # names of the rows
+    whole: np.ndarray  # over all counted samples
+    part: np.ndarray  # over plateaus, or away from reversals
+    count: int  # counted samples
+    count_part: int  # those of ``part``
 
     def __add__(self, other: "Gram") -> "Gram":
         """Return what two recordings tell together; their rows are the same."""

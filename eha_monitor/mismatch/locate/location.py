@@ -53,22 +53,15 @@ CLOSE = 0.03  # of the best gain: rivals nearer than that share the blame
 
 @dataclass(frozen=True)
 class Rival:
-    """Something latent that may be behind the innovations: an unknown or a sensor's error.
+    """Something latent that may be behind the innovations: an unknown or a sensor's error."""
 
-    Attributes
-    ----------
-    name : what it is, e.g. ``force`` or ``sensor_p1``; ``balance`` whose share it counts to.
-    smallest : deviation at which it does not show, in its unit.
-    state : place of the unknown among the filter's states; -1 for what is none of them.
-    outputs : (sensor, weight): what it adds to the measured outputs.
-    inputs : (state, weight): what it adds to a state in a sample.
-    """
-
-    name: str
-    balance: str
-    smallest: float
-    state: int = -1
+    name: str  # what it is, e.g. ``force`` or ``sensor_p1``
+    balance: str  # whose share it counts to
+    smallest: float  # deviation at which it does not show, in its unit
+    state: int = -1  # place among the filter's states; -1: none of them
+    # (sensor, weight): what it adds to the measured outputs
     outputs: tuple[tuple[int, float], ...] = ()
+    # (state, weight): what it adds to a state in a sample
     inputs: tuple[tuple[int, float], ...] = ()
 
 
@@ -157,19 +150,13 @@ def rivals_of(experiment: Experiment, m: Linear) -> list[Rival]:
 
 @dataclass(frozen=True)
 class Base:
-    """A nominal model without unknowns, from which the rivals are judged.
+    """A nominal model without unknowns, from which the rivals are judged."""
 
-    Attributes
-    ----------
-    linear : its linearised plant; ``drive`` (m, N_FILTERED, N_OUTPUTS) A K of its filter.
-    e : for each stretch (n, N_OUTPUTS) its innovations.
-    slopes : for each base parameter, what a step of it adds to ``e``, and the step's prior
-        deviation in steps.
-    """
-
-    linear: Linear
-    drive: np.ndarray
-    e: list[np.ndarray]
+    linear: Linear  # its linearised plant
+    drive: np.ndarray  # (m, N_FILTERED, N_OUTPUTS) A K of its filter
+    e: list[np.ndarray]  # for each stretch (n, N_OUTPUTS) its innovations
+    # For each base parameter, what a step of it adds to ``e``, and the step's prior
+    # deviation in steps
     slopes: list[tuple[list[np.ndarray], float]]
 
 

@@ -160,21 +160,13 @@ VISIBLE = 0.3  # of a sensor's noise: an error below needs no curve
 
 @dataclass(frozen=True)
 class Missing:
-    """A missing term along each stretch.
+    """A missing term along each stretch."""
 
-    Attributes
-    ----------
-    balance : whose term it is; ``unit`` its unit.
-    tracks : for each stretch (n, N_SIGNALS), the smoothed trajectory.
-    measured : for each stretch (n,), what the record needs; NaN where it does not say.
-    modelled : for each stretch (n,), what the named effects make; None where nothing is named.
-    """
-
-    balance: str
+    balance: str  # whose term it is
     unit: str
-    tracks: tuple[np.ndarray, ...]
-    measured: tuple[np.ndarray, ...]
-    modelled: tuple[np.ndarray, ...] | None = None
+    tracks: tuple[np.ndarray, ...]  # for each stretch (n, N_SIGNALS), the smoothed trajectory
+    measured: tuple[np.ndarray, ...]  # (n,) each, what the record needs; NaN where it does not say
+    modelled: tuple[np.ndarray, ...] | None = None  # (n,) each, what the named effects make
 
 
 def missing_terms(experiment: Experiment, before: Fit, after: Fit | None) -> list[Missing]:

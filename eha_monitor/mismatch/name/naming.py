@@ -31,40 +31,32 @@ from eha_monitor.progress import Report, silent
 
 @dataclass(frozen=True)
 class Naming:
-    """What was named.
+    """What was named."""
 
-    Attributes
-    ----------
-    experiment : with integration steps that resolve the damping that was found.
-    before, after : nominal model with B and beta_e fitted; the model with what is named.
-    wrong : numbers of the rig that ``after`` calls wrong, ``mass`` and so on.
-    probability : effect, ``rig.<key>`` -> probability that it, or what looks like it here,
-        is there, and that nothing without a name is missing beside it.
-    claims : the same names -> probability that something is there in its place, be it one of many.
-    consistent, unexplained : probabilities of these answers.
-    evidence : effect, ``rig.<key>`` -> log units that the model loses without it.
-    rivals : effect, ``rig.<key>`` -> names that this record cannot tell from it.
-    tried : set -> its model and the log units by which it is behind, best first.
-    loads : when a load without a name of its own acts, (from s, to s, N); ``intermittent_load``.
-    gates : checks that a set with more evidence, or a member of one, did not pass.
-    weights : set -> probability that it is all that is there, and nothing without a name.
-    pieces : of the recordings, between which a parameter changed; empty where none did.
-    """
-
-    experiment: Experiment
-    before: Fit
-    after: Fit
+    experiment: Experiment  # with integration steps that resolve the damping that was found
+    before: Fit  # nominal model with B and beta_e fitted
+    after: Fit  # the model with what is named
+    # Numbers of the rig that ``after`` calls wrong, ``mass`` and so on
     wrong: tuple[str, ...] = ()
+    # Effect, ``rig.<key>`` -> probability that it, or what looks like it here, is there, and
+    # that nothing without a name is missing beside it
     probability: dict[str, float] = field(default_factory=dict)
-    consistent: float = np.nan
+    consistent: float = np.nan  # probabilities of these answers
     unexplained: float = np.nan
+    # Effect, ``rig.<key>`` -> log units that the model loses without it
     evidence: dict[str, float] = field(default_factory=dict)
+    # Effect, ``rig.<key>`` -> names that this record cannot tell from it
     rivals: dict[str, tuple[str, ...]] = field(default_factory=dict)
+    # Set -> its model and the log units by which it is behind, best first
     tried: tuple[tuple[Names, Fit, float], ...] = ()
+    # When a load without a name of its own acts, (from s, to s, N); ``intermittent_load``
     loads: tuple[tuple[float, float, float], ...] = ()
+    # Checks that a set with more evidence, or a member of one, did not pass
     gates: tuple[Gate, ...] = ()
+    # Set -> probability that it is all that is there, and nothing without a name
     weights: dict[Names, float] = field(default_factory=dict)
-    pieces: tuple[Piece, ...] = ()
+    pieces: tuple[Piece, ...] = ()  # of the recordings, between which a parameter changed
+    # Names as of ``probability`` -> that something is there in its place, be it one of many
     claims: dict[str, float] = field(default_factory=dict)
 
 

@@ -22,29 +22,24 @@ STRAYED = 5.0  # log units: a fit that is that far from its optimum is made agai
 
 @dataclass
 class Refits:
-    """Every set that was refitted.
+    """Every set that was refitted."""
 
-    Attributes
-    ----------
-    policy : what evidence counts.
-    fits, evidence, left : names -> model, Laplace evidence, cost of its unknowns, log units.
-    stations : names -> model and evidence of what cannot be (no damping, no stiffness), or does
-        next to nothing.  It is no answer, but what it lacks may be what makes it possible: the
-        search goes on from there.
-    tried : (model, set) that was refitted from a linearisation at that model, whatever came of it.
-    dropped : names -> model of a first look that others were ahead of then.
-    refused : names -> gates that the set does not pass: it is no answer, whatever its evidence.
-    parted : names -> model from which the set without each of its members was fitted.
-    """
-
-    policy: SearchPolicy
-    fits: dict[Names, Fit] = field(default_factory=dict)
+    policy: SearchPolicy  # what evidence counts
+    fits: dict[Names, Fit] = field(default_factory=dict)  # names -> model
+    # Names -> Laplace evidence, log units
     evidence: dict[Names, float] = field(default_factory=dict)
-    left: dict[Names, float] = field(default_factory=dict)
+    left: dict[Names, float] = field(default_factory=dict)  # names -> cost of its unknowns
+    # Names -> model and evidence of what cannot be (no damping, no stiffness), or does next
+    # to nothing. It is no answer, but what it lacks may be what makes it possible: the
+    # search goes on from there
     stations: dict[Names, tuple[Fit, float]] = field(default_factory=dict)
+    # (model, set) that was refitted from a linearisation at that model, whatever came of it
     tried: set[tuple[Names, Names]] = field(default_factory=set)
+    # Names -> model of a first look that others were ahead of then
     dropped: dict[Names, Fit] = field(default_factory=dict)
+    # Names -> gates that the set does not pass: it is no answer, whatever its evidence
     refused: dict[Names, tuple[Gate, ...]] = field(default_factory=dict)
+    # Names -> model from which the set without each of its members was fitted
     parted: dict[Names, Fit] = field(default_factory=dict)
 
     def add(self, experiment: Experiment, names: Names, fit: Fit, anyway: bool = False) -> None:

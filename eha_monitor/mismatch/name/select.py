@@ -94,38 +94,27 @@ PLAINLY = Manner()
 
 @dataclass
 class Search:
-    """A search for the best set.
+    """A search for the best set."""
 
-    Attributes
-    ----------
-    experiment, nominal : the samples that it is made on, and the nominal model fitted to them.
-    manner : what it is told; ``sketch`` it is made on some of the samples, to begin with, and
-        nothing is fitted to the end.
-    bare : the nominal model with nothing of the rig free.
-    refits : every refitted set.
-    widely : also from other places of the nominal model; else from what a sketch has found.
-    views : names -> linearisation at a refitted model.
-    done : names -> evidence with which a model was linearised.
-    ended : what is best was fitted to the end, or need not be; ``far`` the last of the other
-        places was tried, ``viewed`` what least squares name, ``asked`` whether to go elsewhere.
-    lack : what the best model lacked after the round before, log units a sample.
-    vain : the balances are closed, and no set has begun to explain what a filter lacks.
-    """
-
-    experiment: Experiment
-    nominal: Fit
-    manner: Manner = PLAINLY
+    experiment: Experiment  # the samples that it is made on
+    nominal: Fit  # model fitted to them
+    manner: Manner = PLAINLY  # what it is told
+    # It is made on some of the samples, to begin with, and nothing is fitted to the end
     sketch: bool = False
-    bare: Fit | None = None
-    refits: Refits = field(init=False)
+    bare: Fit | None = None  # the nominal model with nothing of the rig free
+    refits: Refits = field(init=False)  # every refitted set
+    # Also from other places of the nominal model; else from what a sketch has found
     widely: bool = True
+    # Names -> linearisation at a refitted model
     views: dict[Names, Linearised] = field(default_factory=dict)
+    # Names -> evidence with which a model was linearised
     done: dict[Names, float] = field(default_factory=dict)
-    ended: bool = False
-    far: bool = False
-    viewed: bool = False
-    asked: bool = False
-    lack: float = np.inf
+    ended: bool = False  # what is best was fitted to the end, or need not be
+    far: bool = False  # the last of the other places was tried
+    viewed: bool = False  # what least squares name was looked at
+    asked: bool = False  # whether to go elsewhere
+    lack: float = np.inf  # what the best model lacked after the round before, log units a sample
+    # The balances are closed, and no set has begun to explain what a filter lacks
     vain: bool = False
 
     def __post_init__(self):

@@ -36,15 +36,10 @@ FEWEST = 500  # samples in a part whose parameters are fitted
 
 @dataclass(frozen=True)
 class FreeRuns:
-    """A model let go on unseen data.
+    """A model let go on unseen data."""
 
-    Attributes
-    ----------
-    windows : (stretch, first, last + 1) in samples.
-    e : for each stretch (n, N_OUTPUTS) measured less predicted, NaN outside the windows.
-    """
-
-    windows: tuple[tuple[int, int, int], ...]
+    windows: tuple[tuple[int, int, int], ...]  # (stretch, first, last + 1) in samples
+    # For each stretch (n, N_OUTPUTS) measured less predicted, NaN outside the windows
     e: tuple[np.ndarray, ...]
 
     def residual(self, output: int) -> np.ndarray:

@@ -45,20 +45,14 @@ Lack = dict[str, np.ndarray]
 
 @dataclass(frozen=True)
 class Series:
-    """Signals of a stretch of a recording.
+    """Signals of a stretch of a recording."""
 
-    Attributes
-    ----------
-    source : name of the recording;  start, dt : s.
-    measured, modelled : channel -> (n,) SI;  of the model what it shows running free.
-    lacks : balance (``force`` N, ``flow`` m³/s, ``drive`` rad/s) -> what it lacks.
-    """
-
-    source: str
-    start: float
-    dt: float
-    measured: dict[str, np.ndarray]
-    modelled: dict[str, np.ndarray]
+    source: str  # name of the recording
+    start: float  # s
+    dt: float  # s
+    measured: dict[str, np.ndarray]  # channel -> (n,) SI
+    modelled: dict[str, np.ndarray]  # the same of the model, running free
+    # Balance (``force`` N, ``flow`` m³/s, ``drive`` rad/s) -> what it lacks
     lacks: dict[str, Lack]
 
 
