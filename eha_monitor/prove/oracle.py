@@ -58,16 +58,11 @@ EXACT = 0.02  # of an evidence: what a fit that is far behind may still lack
 
 @dataclass(frozen=True)
 class RigNumbers:
-    """The rig's numbers as nuisance parameters beside a model.
+    """The rig's numbers as nuisance parameters beside a model."""
 
-    Attributes
-    ----------
-    experiment : made with the config, not with the true rig.
-    wrong : numbers that are off by more than their tolerance allows, ``area`` for both of a pair:
-        their prior is wide.
-    """
-
-    experiment: Experiment
+    experiment: Experiment  # made with the config, not with the true rig
+    # Numbers that are off by more than their tolerance allows, ``area`` for both of a pair:
+    # their prior is wide
     wrong: frozenset[str] = frozenset()
 
     def free(self, named: Sequence[str]) -> tuple[Free, ...]:

@@ -158,6 +158,7 @@ class Reading:
         self.directions = best_starts(directions, gram)
         self.weights = {slope.label: slope.weight for slope in base}
         self.labels = [slope.label for slope in base]
+        self.health = [parameter for parameter in BASE if parameter in self.labels]
         self.plateaus = gram.count_part / max(gram.count, 1)
         self.has_plateaus = self.plateaus >= LEAST_STEADY
 
@@ -191,24 +192,17 @@ class Reading:
     def matters(self, d: Direction, steady: bool = False) -> float:
         """Return the size of an effect that matters: by itself, or to B or beta_e."""
         size = MATTERS * abs(d.amount)
-        for parameter in BASE:
-            if parameter in self.labels:
-                one = abs(self.shift(d, parameter, d.amount, steady))
-                if one > 0:
-                    size = min(size, SHIFT * abs(self.fit.value(parameter)) / one * abs(d.amount))
+        for parameter in self.health:
+            one = abs(self.shift(d, parameter, d.amount, steady))
+            if one > 0:
+                size = min(size, SHIFT * abs(self.fit.value(parameter)) / one * abs(d.amount))
         return size
 
     def confusions(self) -> tuple[Confusion, ...]:
         """Return pairs of a health parameter and an effect that take one another's part."""
-        found = []
-        for d in self.directions:
-            for parameter in BASE:
-                if parameter not in self.labels:
-                    continue
-                one = self.confusion(d, parameter, MATTERS * abs(d.amount))
-                if one is not None:
-                    found.append(one)
-        found = ties.ordered(found, lambda c: abs(c.correlation))
+        every = (self.confusion(d, parameter, MATTERS * abs(d.amount))
+                 for d in self.directions for parameter in self.health)
+        found = ties.ordered(filter(None, every), lambda c: abs(c.correlation))
         return tuple(sorted(found, key=lambda c: CATALOGUE[c.effect].rarity))
 
     def confusion(self, d: Direction, parameter: str, amount: float, named: bool = False
@@ -255,8 +249,7 @@ class Reading:
             size = self.matters(d)
             gain = gain_of(left * (size / d.amount) ** 2, n)
             shifts = {parameter: self.shift(d, parameter, visible) / self.fit.value(parameter)
-                      for parameter in BASE if parameter in self.labels
-                      } if np.isfinite(visible) else {}
+                      for parameter in self.health} if np.isfinite(visible) else {}
             found.append(DetectionLimit(
                 d.effect, d.parameter, d.unit, size, visible, gain, shifts))
         return tuple(ties.ordered(found, lambda limit: -limit.gain))

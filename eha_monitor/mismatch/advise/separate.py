@@ -127,6 +127,10 @@ class Tried:
     motion: Motion
     gains: tuple[float, ...]
 
+    def settles(self, wanted: float = WANTED) -> int:
+        """Return how many questions it decides by the log units that must be predicted."""
+        return sum(gain >= wanted for gain in self.gains)
+
 
 @dataclass(frozen=True)
 class Check:
@@ -246,8 +250,8 @@ def try_motions(experiment: Experiment, fit: Fit, questions: Sequence[Question],
             break
     if not tried:
         return []
-    solved = [sum(gain >= WANTED for gain in one.gains) for one in tried]
-    if max(solved) < len(questions):
+    most = max(one.settles() for one in tried)
+    if most < len(questions):
         pairs = ties.ordered(((tried[i].motion.duration + tried[j].motion.duration, i, j)
                               for i, j in combinations(range(len(tried)), 2)),
                              lambda row: -row[0])
@@ -256,10 +260,11 @@ def try_motions(experiment: Experiment, fit: Fit, questions: Sequence[Question],
                 break
             if share_within(limits, joined(tried[i].motion, tried[j].motion).segments) < 1.0:
                 continue  # the jump from one to the other is too far
-            gains = tuple(q.gain(here + grams[i] + grams[j], base) for q in questions)
-            if sum(gain >= WANTED for gain in gains) > max(solved):
-                tried.append(Tried(joined(tried[i].motion, tried[j].motion), gains))
-                solved.append(sum(gain >= WANTED for gain in gains))
+            both = Tried(joined(tried[i].motion, tried[j].motion), tuple(
+                q.gain(here + grams[i] + grams[j], base) for q in questions))
+            if both.settles() > most:
+                tried.append(both)
+                most = both.settles()
     return tried
 
 
@@ -271,12 +276,11 @@ def cheapest(tried: Sequence[Tried], rejected: Sequence[str] = (), wanted: float
 
     ``wanted`` : log units that must be predicted.
     """
-    left = [(sum(gain >= wanted for gain in one.gains), one) for one in tried
-            if one.motion.name not in rejected]
-    most = max((count for count, _ in left), default=0)
+    left = [one for one in tried if one.motion.name not in rejected]
+    most = max((one.settles(wanted) for one in left), default=0)
     if most == 0:
         return None
-    return ties.best((one.motion for count, one in left if count == most),
+    return ties.best((one.motion for one in left if one.settles(wanted) == most),
                      lambda motion: -motion.duration, lambda motion: len(motion.segments))
 
 

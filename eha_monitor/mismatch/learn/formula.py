@@ -32,25 +32,18 @@ Start = dict[str, float]
 
 @dataclass(frozen=True)
 class Shape:
-    """A shape that a curve may have, with its name in words.
+    """A shape that a curve may have, with its name in words."""
 
-    Attributes
-    ----------
-    text : expression in ``u`` and its parameters.
-    shown : how a person reads it; parameters and ``u`` in braces.
-    units : parameter -> ``y``, ``u``, ``y/u``, ``y/u2``, ``y/u3`` or ``y/ru``: of the curve, of
-        the signal, of their ratio, of the ratio with its square, its cube, its root; ``rad`` of
-        an angle, ``1`` of a number.
-    starts : of a curve, (n,) places and (n,) values, where a fit may begin.
-    positive : parameters that are widths or limits.
-    """
-
-    name: str
-    text: str
-    shown: str
+    name: str  # in words
+    text: str  # expression in ``u`` and its parameters
+    shown: str  # how a person reads it; parameters and ``u`` in braces
+    # Parameter -> ``y``, ``u``, ``y/u``, ``y/u2``, ``y/u3`` or ``y/ru``: of the curve, of
+    # the signal, of their ratio, of the ratio with its square, its cube, its root; ``rad``
+    # of an angle, ``1`` of a number
     units: dict[str, str]
+    # Of a curve, (n,) places and (n,) values, where a fit may begin
     starts: Callable[[np.ndarray, np.ndarray], Iterator[Start]]
-    positive: tuple[str, ...] = ()
+    positive: tuple[str, ...] = ()  # parameters that are widths or limits
 
 
 def _extreme(u: np.ndarray, y: np.ndarray) -> tuple[float, float, float]:

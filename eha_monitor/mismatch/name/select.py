@@ -71,21 +71,16 @@ class Unfollowed(Exception):
 
 @dataclass(frozen=True)
 class Manner:
-    """What a search is told of the recording.
+    """What a search is told of the recording."""
 
-    Attributes
-    ----------
-    view : what least squares name: a set that is fitted from their numbers where all that was
-        found lacks something.
-    may_end : ends by :class:`Unfollowed` where no law follows.
-    close : the config's own model closes every balance: what has a name shows from there, and a
-        round that gains nothing is the last.  A filter then sees the form of a law.
-    elsewhere : asked once where no law follows: is a fit better off under another input?
-    """
-
+    # What least squares name: a set that is fitted from their numbers where all that was
+    # found lacks something
     view: FirstView | None = None
-    may_end: bool = False
+    may_end: bool = False  # ends by :class:`Unfollowed` where no law follows
+    # The config's own model closes every balance: what has a name shows from there, and a
+    # round that gains nothing is the last. A filter then sees the form of a law
     close: bool = False
+    # Asked once where no law follows: is a fit better off under another input?
     elsewhere: Elsewhere | None = None
 
 
