@@ -290,10 +290,8 @@ def is_answer(probability: float, claim: float, policy: SearchPolicy) -> bool:
     What is there may have many names that share what the recording says; the best of them stands,
     with its own probability, where it can be excluded that none is true.
 
-    Parameters
-    ----------
-    probability : of the name and those that are listed as its like; NaN where nobody asked.
-    claim : that it, or anything in its place, is there.
+    ``probability`` : of the name and those that are listed as its like; NaN where nobody asked.
+    ``claim`` : that it, or anything in its place, is there.
     """
     return not probability < policy.likely or claim > 1.0 - policy.rival
 

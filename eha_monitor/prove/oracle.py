@@ -85,9 +85,7 @@ class RigNumbers:
     def fitted(self, *starts: Fit, aim: float = -np.inf) -> Fit:
         """Return the best optimum over some starts; those that fall behind are not carried on.
 
-        Parameters
-        ----------
-        aim : likelihood of the complete model, log units: what is far below it need not be exact.
+        ``aim`` : likelihood of the complete model: what is far below it need not be exact.
         """
         fits = list(starts)
         while len(fits) > 1:

@@ -225,10 +225,8 @@ def try_motions(experiment: Experiment, fit: Fit, questions: Sequence[Question],
                 limits: Limits, base: Sequence[Slope], every: bool = True) -> list[Tried]:
     """Return motions with what they tell; two after one another where one does not do.
 
-    Parameters
-    ----------
-    here : what the recording says; a motion is judged together with it.
-    every : try all motions, for the table; otherwise a few, until one will do.
+    ``here`` : what the recording says; a motion is judged together with it.
+    ``every`` : try all motions, for the table; otherwise a few, until one will do.
     """
     slopes = [*base, *(slope for q in questions for slope in q.slopes())]
     labels = [slope.label for slope in slopes]

@@ -252,10 +252,8 @@ def most_informative(grams: list[np.ndarray], lengths: list[int], most: int, siz
                      ) -> list[int]:
     """Return the windows whose log det together is the largest, in order: D-optimal, greedy.
 
-    Parameters
-    ----------
-    grams : (k, k) products of a window's columns, of length 0 where it says nothing.
-    lengths : samples of each, about ``size``; ``most`` of all that are chosen.
+    ``grams`` : (k, k) products of a window's columns, of length 0 where it says nothing.
+    ``lengths`` : samples of each, about ``size``; ``most`` of all that are chosen.
     """
     whole, chosen, samples = np.eye(max(map(len, grams))), [], 0
     left = [i for i, gram in enumerate(grams) if len(gram)]

@@ -71,10 +71,8 @@ def _law(size: str, law: Callable, shape: str = "", of: Callable = lambda u, sha
          shares: tuple[float, ...] = (0.0,)) -> Callable:
     """Return what yields a law's size by least squares, for each place or width of its shape.
 
-    Parameters
-    ----------
-    size, shape : names of the parameters; ``law`` of u and the shape's value.
-    of : the shape's value of u and a share.
+    ``size``, ``shape`` : names of the parameters; ``law`` of u and the shape's value.
+    ``of`` : the shape's value of u and a share.
     """
     def starts(u, y):
         for share in shares:
@@ -297,10 +295,8 @@ def fitted_shape(shape: Shape, start: Start, places: np.ndarray, y: np.ndarray,
                  left: Callable[[dict[str, float]], np.ndarray]) -> tuple[float, dict[str, float]]:
     """Return half the sum of squares that a shape leaves at best, and its parameters, SI.
 
-    Parameters
-    ----------
-    start : its parameters; ``places``, ``y`` (n,) a curve that is as wide and as high.
-    left : parameters -> (m,) residuals.
+    ``start`` : its parameters; ``places``, ``y`` (n,) a curve that is as wide and as high.
+    ``left`` : parameters -> (m,) residuals.
     """
     from scipy.optimize import least_squares  # half a second, for what is seldom learned
 

@@ -278,10 +278,8 @@ def with_unknowns(experiment: Experiment, fit: Fit, unknowns: Unknowns | None = 
 
     Parameters that no filter can follow have a likelihood of zero.
 
-    Parameters
-    ----------
-    experiment : also another one than the fit was made on.
-    unknowns : without them the fit's own.
+    ``experiment`` : also another one than the fit was made on.
+    ``unknowns`` : without them the fit's own.
     """
     unknowns = unknowns or fit.unknowns
     try:

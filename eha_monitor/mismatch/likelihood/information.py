@@ -66,10 +66,8 @@ class Gram:
                   weights: dict[str, float], steady: bool = False) -> np.ndarray:
         """Return the products of ``wanted`` with the ``absorbing`` slopes projected out.
 
-        Parameters
-        ----------
-        weights : prior weights of the absorbing slopes; a prior limits what they absorb.
-        steady : over the part, not the whole.
+        ``weights`` : prior weights of the absorbing slopes; a prior limits what they absorb.
+        ``steady`` : over the part, not the whole.
         """
         g = self.part if steady else self.whole
         i, j = self.places(wanted), self.places(absorbing)
@@ -108,10 +106,8 @@ def free_slopes(fit: Fit, model: Model | None = None, names: Sequence[str] = ())
 
     Those of a rival that stand at a bound are held there.
 
-    Parameters
-    ----------
-    model : where they are taken, where that is another than the fit.
-    names : labels that they get.
+    ``model`` : where they are taken, where that is another than the fit.
+    ``names`` : labels that they get.
     """
     theta, active = model or (fit.theta, fit.active)
     found = []

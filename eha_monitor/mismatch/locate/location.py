@@ -317,11 +317,9 @@ def location_of(experiment: Experiment, before: Fit, after: Fit,
                 named: Mapping[str, float], terms: Sequence[Missing] | None = None) -> Location:
     """Say where model and recording disagree.
 
-    Parameters
-    ----------
-    named : effect, ``rig.<key>`` or ``learned.<balance>`` -> log evidence; empty where nothing
+    ``named`` : effect, ``rig.<key>`` or ``learned.<balance>`` -> log evidence; empty where nothing
         explains the mismatch.  What the named effects leave behind counts beside them.
-    terms : :func:`missing_terms` of the named effects, where they are at hand.
+    ``terms`` : :func:`missing_terms` of the named effects, where they are at hand.
     """
     weights = dict.fromkeys(BALANCES, 0.0)
     for name, gain in named.items():

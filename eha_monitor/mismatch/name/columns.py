@@ -268,10 +268,8 @@ def columns_at(experiment: Experiment, fit: Fit, unnamed: bool = True, suspects:
                terms: Sequence[Unnamed] | None = None) -> Columns:
     """Return innovations and columns at a fit, under its gains.
 
-    Parameters
-    ----------
-    unnamed : also unknown functions: ``terms``, or those of :func:`unnamed_of`.
-    suspects : also the effects that the model does not have.
+    ``unnamed`` : also unknown functions: ``terms``, or those of :func:`unnamed_of`.
+    ``suspects`` : also the effects that the model does not have.
     """
     present = runs_of(experiment, fit.theta, fit.active, fit.gains)
     what: list[Column] = []

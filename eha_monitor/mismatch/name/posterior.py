@@ -191,10 +191,8 @@ def posterior(refits: Refits, views: Sequence[tuple[Names, Sequence[Ranked]]],
     Sets by the linear guess are those of a linearisation, measured from the model there.  What
     has names and seems better than that model was refitted, or is beyond what the guess can say.
 
-    Parameters
-    ----------
-    views : models that were linearised, each with the sets as they are ranked there.
-    promising : also of what seems better and was never refitted.
+    ``views`` : models that were linearised, each with the sets as they are ranked there.
+    ``promising`` : also of what seems better and was never refitted.
     """
     scores = refits.scores()
     for names, value in refused_evidence(refits).items():

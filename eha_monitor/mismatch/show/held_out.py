@@ -257,10 +257,8 @@ def baseline_residual(experiment: Experiment, of: Mapping[str, Baseline], after:
 def force_left(experiment: Experiment, fit: Fit, modelled: Callable) -> tuple[float, float]:
     """Return rms of what a model leaves of the force on held-out samples, and of the force, N.
 
-    Parameters
-    ----------
-    fit : whose sensors and areas the measured force and motion are taken from.
-    modelled : (stretch, x, v, a) -> (n,) N.
+    ``fit`` : whose sensors and areas the measured force and motion are taken from.
+    ``modelled`` : (stretch, x, v, a) -> (n,) N.
     """
     dt = experiment.dt
     residuals, forces = [], []
