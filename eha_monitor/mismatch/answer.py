@@ -326,7 +326,7 @@ def beside_own(experiment: Experiment, naming: Naming, told: ValidatedTerm) -> N
 
 def named_effect(experiment: Experiment, naming: Naming, name: str, tracks: list[np.ndarray]
                  ) -> NamedEffect:
-    """Return the record of a named effect; ``tracks`` as :func:`sizes.size_of` takes them."""
+    """Return the record of a named effect; ``tracks`` as :func:`model.size_of` takes them."""
     entry, fit, parameters = CATALOGUE[name], naming.after, {}
     numbers, fitted = effect_values(fit.theta, name), {f.name for f in fit.free}
     for p in entry.parameters:
