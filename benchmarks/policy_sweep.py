@@ -94,12 +94,13 @@ def weighed_with(experiment):
     from eha_monitor.mismatch.name.refit import settled
     from eha_monitor.mismatch.name.select import begun, finished
 
-    found = finished(begun(experiment))
-    before = settled(found.experiment, found.nominal)
+    search = begun(experiment)
+    views = finished(search)
+    before = settled(search.experiment, search.bare)
 
     def said(policy):
-        naming = naming_of(replace(found.experiment, policy=policy),
-                           replace(found, refits=replace(found.refits, policy=policy)), before)
+        naming = naming_of(replace(search.experiment, policy=policy),
+                           replace(search.refits, policy=policy), views, before)
         if naming.unexplained > policy.likely:
             return ("unexplained",), {}
         names = {name.removeprefix("rig."): naming.rivals.get(name, ())

@@ -8,10 +8,11 @@ import pytest
 from mismatch_tools import case_of, diagnosed, fitted, recorded
 
 from eha_monitor.balances.answer import Asked, first_answer
+from eha_monitor.balances.policy import POLICY as OF_BALANCES
 from eha_monitor.concealed.cases import Case
 from eha_monitor.estimation.hold_choice import HoldDecision, other_hold, with_hold
 from eha_monitor.mismatch.answer import held_command, is_answer, verdict_of
-from eha_monitor.mismatch.beside_balances import contradicted, defends, explains_more
+from eha_monitor.mismatch.beside_balances import contradicted, explains_more
 from eha_monitor.mismatch.data.experiment import experiment_of
 from eha_monitor.mismatch.diagnose import diagnose, diagnose_and_name
 from eha_monitor.mismatch.diagnosis import VERDICTS, Diagnosis, SignalFit, Value
@@ -314,7 +315,7 @@ def test_a_hold_that_was_decided_wrongly_ends_with_the_first_refits():
     def begin(experiment, may_end, elsewhere, known):
         sampled = experiment.settings.command_hold == "sampled"
         fit = nominal(experiment)[1]
-        search = Search.at(experiment, fit, Manner(elsewhere=elsewhere))
+        search = Search(experiment, fit, Manner(elsewhere=elsewhere))
         if sampled:
             search.leave()
         asked.append(experiment.settings.command_hold)
@@ -347,8 +348,8 @@ def test_laws_of_two_answers_are_compared_as_they_are_written():
     # Of a force that is hardly any of the whole, less than half of what the other leaves is more.
     small = replace(first, signals={"force": replace(first.signals["force"], signal_rms=1e6)})
     assert not explains_more(small, none, [recording], settings)
-    assert defends(small, none, [recording], settings)
-    assert not defends(none, small, [recording], settings)
+    assert explains_more(small, none, [recording], settings, OF_BALANCES.open)
+    assert not explains_more(none, small, [recording], settings, OF_BALANCES.open)
     assert not explains_more(replace(first, signals={}), none, [recording], settings)
 
 

@@ -19,6 +19,9 @@ from eha_monitor.concealed.plant import N_CONSTANTS, NAMES, OMEGA, P1, P2, brist
 RAMP = 6e-3  # s, a step is a ramp of this length: the sampled demand then hides nothing
 # rich: two triangles, multisine, steps; short: the same parts; triangle and sine: the paper's own;
 # two_speed: the paper's triangle, then a slow one.
+# Of fast triangle and multisine, of slow triangle and steps, s; period of the fast triangle, s;
+# amplitudes of both, m; length of a step, s.
+PARTS = {"rich": (8.0, 4.0, 4.0, 0.04, 0.008, 0.4), "short": (2.0, 1.0, 2.0, 0.02, 0.002, 0.2)}
 LENGTHS = {"rich": 24.0, "short": 6.0, "triangle": 24.0, "two_speed": 24.0, "sine": 8.0}
 
 
@@ -66,21 +69,15 @@ def demanded_position(motion: str, t: np.ndarray, seed: int = 0, scale: float = 
         return scale * 0.01 * np.sin(2 * np.pi * 4.0 * t)
     if motion == "two_speed":
         return scale * np.where(t < 12.0, triangle(t, 4.0, 0.04), triangle(t, 4.0, 0.008))
-    # Parts: fast triangle, slow triangle, multisine, steps, as (length, shape).
+    if motion not in PARTS:
+        raise ValueError(f"motion: expected {', '.join(LENGTHS)}, got {motion!r}")
     rng = np.random.default_rng([seed, 77])
     tones, places = rng.spawn(2)
-    if motion == "rich":
-        parts = ((8.0, lambda u: triangle(u, 4.0, 0.04)),
-                 (4.0, lambda u: triangle(u, 4.0, 0.008)),
-                 (8.0, lambda u: multisine(u, 8.0, 0.036, tones)),
-                 (4.0, lambda u: steps(u, 4.0, 0.008, 0.4, places)))
-    elif motion == "short":
-        parts = ((2.0, lambda u: triangle(u, 2.0, 0.02)),
-                 (1.0, lambda u: triangle(u, 1.0, 0.002)),
-                 (2.0, lambda u: multisine(u, 2.0, 0.036, tones)),
-                 (1.0, lambda u: steps(u, 1.0, 0.008, 0.2, places)))
-    else:
-        raise ValueError(f"motion: expected {', '.join(LENGTHS)}, got {motion!r}")
+    long, brief, period, fast, slow, each = PARTS[motion]
+    parts = ((long, lambda u: triangle(u, period, fast)),
+             (brief, lambda u: triangle(u, brief, slow)),
+             (long, lambda u: multisine(u, long, 0.036, tones)),
+             (brief, lambda u: steps(u, brief, 0.008, each, places)))
     out = np.zeros_like(t)
     start = 0.0
     for length, shape in parts:

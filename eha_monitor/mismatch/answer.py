@@ -46,23 +46,10 @@ from eha_monitor.mismatch.locate.terms import BALANCES, missing_terms
 from eha_monitor.mismatch.name.naming import Naming, beyond_form, near_to
 from eha_monitor.mismatch.policy import SearchPolicy
 from eha_monitor.mismatch.show import held_out as show
+from eha_monitor.mismatch.show import model
 from eha_monitor.mismatch.show.changed import change_words
-from eha_monitor.mismatch.show.model import (
-    between_models,
-    config_effects,
-    fitted_of,
-    in_doubt,
-    quantised,
-    replaced,
-    rig_findings,
-    rig_within,
-    robust,
-    size_of,
-    stated_stddev,
-    values_of,
-)
 from eha_monitor.physics.effects import CATALOGUE
-from eha_monitor.physics.parameters import place_of
+from eha_monitor.physics.parameters import effect_values
 from eha_monitor.progress import Report
 from eha_monitor.quantity import number, quantity
 from eha_monitor.recordings.recording import Recording
@@ -81,34 +68,23 @@ def verdict_of(naming: Naming) -> str:
 
 @dataclass(frozen=True)
 class _Draft:
-    """An answer on its way to the record.
+    """An answer on its way to the record."""
 
-    Attributes
-    ----------
-    shown : the experiment of the data on which the fit is shown.
-    asked : what the search named, as it is.
-    naming : the same with the deviations of its fits as they are stated, and what gates and a
-        learned term change of it.
-    signals : errors on unseen data before and after.
-    test : of the user's hypothesis; ``told`` a model with a term that no catalogue has.
-    effects, wrong, within : what is an answer: effects, numbers of the rig, and those that moved
-        within their tolerance.
-    refitted : effects of the model; ``as_written`` those of them that are as the config says.
-    """
-
-    shown: Experiment
-    asked: Naming
+    shown: Experiment  # the experiment of the data on which the fit is shown
+    asked: Naming  # what the search named, as it is
+    # The same with the deviations of its fits as they are stated, and what gates and a
+    # learned term change of it
     naming: Naming
     verdict: str
     gates: tuple[Gate, ...]
-    signals: dict[str, SignalFit]
-    test: Tested | None = None
-    told: ValidatedTerm | None = None
-    effects: tuple[NamedEffect, ...] = ()
-    wrong: tuple[RigFinding, ...] = ()
-    within: tuple[RigFinding, ...] = ()
-    refitted: tuple[str, ...] = ()
-    as_written: tuple[str, ...] = ()
+    signals: dict[str, SignalFit]  # errors on unseen data before and after
+    test: Tested | None = None  # of the user's hypothesis
+    told: ValidatedTerm | None = None  # a model with a term that no catalogue has
+    effects: tuple[NamedEffect, ...] = ()  # that are an answer
+    wrong: tuple[RigFinding, ...] = ()  # numbers of the rig that are
+    within: tuple[RigFinding, ...] = ()  # those that moved within their tolerance
+    refitted: tuple[str, ...] = ()  # effects of the model
+    as_written: tuple[str, ...] = ()  # those of them that are as the config says
 
     @property
     def experiment(self) -> Experiment:
@@ -149,7 +125,7 @@ def assemble(recordings: list[Recording], shown: Experiment, naming: Naming, sta
     if draft.is_open:  # no name is an answer, no number but the nominal model's, in doubt
         draft = replace(draft, effects=(), wrong=(), within=(), refitted=(),
                         signals=show.without_answer(draft.signals))
-    step = quantised(draft.experiment)
+    step = model.quantised(draft.experiment)
     if step is not None:
         draft = replace(draft, effects=(*draft.effects, step), verdict=(
             "mismatch" if draft.verdict == "consistent" else draft.verdict))
@@ -159,8 +135,8 @@ def assemble(recordings: list[Recording], shown: Experiment, naming: Naming, sta
 def _gated(shown: Experiment, naming: Naming, baselines: Sequence[Baseline]) -> _Draft:
     """Return what is named behind the gates on unseen data: what fails there names nothing."""
     experiment, asked = naming.experiment, naming
-    naming = replace(naming, before=robust(experiment, naming.before),
-                     after=robust(experiment, naming.after))
+    naming = replace(naming, before=model.robust(experiment, naming.before),
+                     after=model.robust(experiment, naming.after))
     after = naming.after
     signals = show.shown(shown, naming.before, after)
     # No model runs with an intermittent load.
@@ -226,7 +202,7 @@ def _answers(draft: _Draft) -> _Draft:
     if told is not None and told.effect is not None:
         effects, verdict = (told.effect, *effects), (
             "mismatch" if verdict == "consistent" else verdict)
-    wrong = rig_findings(experiment, naming)
+    wrong = model.rig_findings(experiment, naming)
     if verdict == "mismatch":  # what is less likely than not is no answer
         claims = naming.claims
         effects = tuple(one for one in effects if is_answer(
@@ -241,7 +217,7 @@ def _answers(draft: _Draft) -> _Draft:
     if verdict == "mismatch" and not (effects or wrong):
         verdict, naming = "consistent", replace(naming, consistent=1.0 - naming.unexplained)
     return replace(draft, naming=naming, verdict=verdict, effects=effects, wrong=wrong,
-                   within=rig_within(experiment, naming), refitted=refitted,
+                   within=model.rig_within(experiment, naming), refitted=refitted,
                    as_written=as_written)
 
 
@@ -276,13 +252,13 @@ def _record(recordings: Sequence[Recording], draft: _Draft, baselines: tuple[Bas
         f"rig.{one.key}": naming.evidence.get(f"rig.{one.key}", 0.0) for one in draft.wrong}
     where, curves = _located(draft, evidence)
     parts = show.agreement(experiment, before, after)
-    known = values_of(experiment, before), values_of(experiment, after)
+    known = model.values_of(experiment, before), model.values_of(experiment, after)
     if draft.is_open:
-        known = in_doubt(known[0], parts), {}
+        known = model.in_doubt(known[0], parts), {}
     elif draft.verdict == "unexplained":
-        known = known[0], in_doubt(known[1], parts)
+        known = known[0], model.in_doubt(known[1], parts)
     elif told is None:
-        known = known[0], between_models(known[1], draft.asked)
+        known = known[0], model.between_models(known[1], draft.asked)
     if pieces:
         message = change_words(pieces, experiment.policy)
     elif told is not None and told.term is not None:
@@ -295,7 +271,7 @@ def _record(recordings: Sequence[Recording], draft: _Draft, baselines: tuple[Bas
         show.overlays(draft.shown, before, after), considered_of(naming, draft.test, told),
         parts, health_sentences(*known, draft.effects),
         advise.advice_for(experiment, draft.asked),
-        config_effects(experiment, after, draft.refitted,
+        model.config_effects(experiment, after, draft.refitted,
                        (told.name, told.entry) if told is not None else None),
         duration_s=sum(one.duration for one in recordings),
         wall_s=time.perf_counter() - started, pieces=pieces,
@@ -304,7 +280,7 @@ def _record(recordings: Sequence[Recording], draft: _Draft, baselines: tuple[Bas
                      "unexplained": naming.unexplained},
         rig_data=draft.wrong, rig_within=draft.within,
         learned=(told.term,) if told is not None and told.term is not None else (),
-        fitted=None if draft.is_open else fitted_of(after), gates=draft.gates,
+        fitted=None if draft.is_open else model.fitted_of(after), gates=draft.gates,
         baselines=baselines)
 
 
@@ -314,10 +290,8 @@ def is_answer(probability: float, claim: float, policy: SearchPolicy) -> bool:
     What is there may have many names that share what the recording says; the best of them stands,
     with its own probability, where it can be excluded that none is true.
 
-    Parameters
-    ----------
-    probability : of the name and those that are listed as its like; NaN where nobody asked.
-    claim : that it, or anything in its place, is there.
+    ``probability`` : of the name and those that are listed as its like; NaN where nobody asked.
+    ``claim`` : that it, or anything in its place, is there.
     """
     return not probability < policy.likely or claim > 1.0 - policy.rival
 
@@ -352,25 +326,21 @@ def beside_own(experiment: Experiment, naming: Naming, told: ValidatedTerm) -> N
 
 def named_effect(experiment: Experiment, naming: Naming, name: str, tracks: list[np.ndarray]
                  ) -> NamedEffect:
-    """Return the record of a named effect; ``tracks`` as :func:`sizes.size_of` takes them."""
-    entry, fit = CATALOGUE[name], naming.after
-    parameters, numbers = {}, {}
-    fitted = {f.name for f in fit.free}
+    """Return the record of a named effect; ``tracks`` as :func:`model.size_of` takes them."""
+    entry, fit, parameters = CATALOGUE[name], naming.after, {}
+    numbers, fitted = effect_values(fit.theta, name), {f.name for f in fit.free}
     for p in entry.parameters:
-        key = f"{name}.{p.name}"
-        value = float(fit.theta[place_of(key)])
-        numbers[p.name] = value
-        if key in fitted:
-            parameters[p.name] = Value(value, stated_stddev(experiment, fit, key),
-                                       p.unit.replace("*", "·"))
-        elif np.isfinite(value):
-            parameters[p.name] = Value(value, 0.0, p.unit.replace("*", "·"))
+        key, value = f"{name}.{p.name}", numbers[p.name]
+        if key in fitted or np.isfinite(value):
+            stddev = model.stated_stddev(experiment, fit, key) if key in fitted else 0.0
+            parameters[p.name] = Value(value, stddev, p.unit.replace("*", "·"))
     said = entry.said(numbers) + held_command(name, parameters, experiment.dt)
-    if gone := [effect_words(one) for one in replaced(experiment, fit) if one in entry.contains]:
+    if gone := [effect_words(one) for one in model.replaced(experiment, fit)
+                if one in entry.contains]:
         said += f", in place of the config's {listed(gone)}"
     return NamedEffect(name, entry.balance, said, parameters, naming.evidence[name],
                        rivals_of(experiment, naming, name), entry.equation, entry.rig_check,
-                       size_of(experiment, fit, name, tracks),
+                       model.size_of(experiment, fit, name, tracks),
                        naming.probability.get(name, np.nan))
 
 

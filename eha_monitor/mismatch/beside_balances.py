@@ -51,7 +51,9 @@ def instead_of_filter(first: Diagnosis, filtered: Filtered, recordings: list[Rec
     if beyond and explains_more(first, found, judges, filtered.settings):
         return first
     apart = contradicted(first, found)
-    if apart and not (defends(found, first, judges, filtered.settings)
+    # What least squares have no law for (a sensor's curve) may be hardly any of the force, and yet
+    # move its numbers: less than ``open`` of what they leave is enough.
+    if apart and not (explains_more(found, first, judges, filtered.settings, POLICY.open)
                       or needs_fewer(found, first, recordings, settings, asked)):
         return replace(first, gates=(*first.gates, *apart))
     if found.verdict != "unexplained" or found.learned:
@@ -128,16 +130,6 @@ def explains_more(first: Diagnosis, found: Diagnosis, recordings: list[Recording
         return False
     mine, theirs = (left_of_force(one, recordings, settings) for one in (first, found))
     return theirs - mine > POLICY.worse * force.signal_rms or mine < share * theirs
-
-
-def defends(found: Diagnosis, first: Diagnosis, recordings: list[Recording], settings: Settings
-            ) -> bool:
-    """Tell whether a filter's answer leaves so much less of the force that it stands as it is.
-
-    What least squares have no law for (a sensor's curve) may be hardly any of the force, and yet
-    move its numbers: less than ``open`` of what they leave is enough.
-    """
-    return explains_more(found, first, recordings, settings, POLICY.open)
 
 
 def needs_fewer(found: Diagnosis, first: Diagnosis, recordings: list[Recording],

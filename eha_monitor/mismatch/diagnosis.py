@@ -257,52 +257,33 @@ class Piece:
 
 @dataclass(frozen=True)
 class ChangePoint:
-    """When and how a number of the machine changed while a recording ran.
-
-    Attributes
-    ----------
-    before_s, since_s : until and from when it is of one state, s from the recording's start.
-    what, symbol, balance : effect, parameter, and where it acts.
-    step : by how much, with the standard deviation.
-    removed : share of the balance's error on unseen parts that goes with it.
-    """
+    """When and how a number of the machine changed while a recording ran."""
 
     bag: str
-    before_s: float
-    since_s: float
-    what: str
-    symbol: str
-    balance: str
-    step: Value
-    removed: float
+    before_s: float  # until when it is of one state, s from the recording's start
+    since_s: float  # from when it is of the other
+    what: str  # effect
+    symbol: str  # parameter
+    balance: str  # where it acts
+    step: Value  # by how much, with the standard deviation
+    removed: float  # share of the balance's error on unseen parts that goes with it
     statement: str
 
 
 @dataclass(frozen=True)
 class Event:
-    """What disturbed a recording for a while, and was left out.
+    """What disturbed a recording for a while, and was left out."""
 
-    Attributes
-    ----------
-    bag : the recording.
-    start_s, stop_s : from and until when, s from the recording's start.
-    balance : the one that was off most; ``also`` the others; ``by_pressures`` whether these are
-        the measure of its force.
-    size, mean : by how much it was off, rms and mean, in its unit (SI); the rms is ``times`` what
-        it is off else.
-    statement : one sentence.
-    """
-
-    bag: str
-    start_s: float
+    bag: str  # the recording
+    start_s: float  # from and until when, s from the recording's start
     stop_s: float
-    balance: str
-    size: float
-    mean: float
-    times: float
-    statement: str
-    also: tuple[str, ...] = ()
-    by_pressures: bool = True
+    balance: str  # the one that was off most
+    size: float  # by how much it was off, rms, in its unit (SI)
+    mean: float  # and in the mean
+    times: float  # the rms is so many times what it is off else
+    statement: str  # one sentence
+    also: tuple[str, ...] = ()  # the other balances that were off
+    by_pressures: bool = True  # whether the pressures are the measure of its force
 
     @property
     def is_load(self) -> bool:
@@ -337,33 +318,20 @@ class Change:
 
 @dataclass(frozen=True)
 class Fitted:
-    """Every number that the last model was fitted with, and how they hang together.
+    """Every number that the last model was fitted with, and how they hang together."""
 
-    Attributes
-    ----------
-    names : ``B``, ``beta_e``, ``rig.<key>``, ``<effect>.<parameter>``.
-    values : (k,) SI; ``covariance`` : (k, k), the tolerances of the rig numbers in it.
-    """
-
-    names: tuple[str, ...]
-    values: np.ndarray
-    covariance: np.ndarray
+    names: tuple[str, ...]  # ``B``, ``beta_e``, ``rig.<key>``, ``<effect>.<parameter>``
+    values: np.ndarray  # (k,) SI
+    covariance: np.ndarray  # (k, k), the tolerances of the rig numbers in it
 
 
 @dataclass(frozen=True)
 class Gate:
-    """A check that an answer did not pass, so that it is not given.
+    """A check that an answer did not pass, so that it is not given."""
 
-    Attributes
-    ----------
-    gate : ``unseen_error``, ``bound``, ``member``, ``sign``, ``curve`` or ``least_squares``.
-    what : effect, ``rig.<key>`` or signal that failed.
-    statement : one sentence: which check, with its numbers.
-    """
-
-    gate: str
-    what: str
-    statement: str
+    gate: str  # ``unseen_error``, ``bound``, ``member``, ``sign``, ``curve`` or ``least_squares``
+    what: str  # effect, ``rig.<key>`` or signal that failed
+    statement: str  # one sentence: which check, with its numbers
 
 
 @dataclass(frozen=True)

@@ -21,11 +21,9 @@ _PROCESSES = ("subprocess.Popen", "os.system", "os.exec", "os.posix_spawn", "os.
 def guard(trial: str, allowed: Sequence[str]) -> Callable[[str, tuple], None]:
     """Return the audit hook.
 
-    Parameters
-    ----------
-    trial : folder of the trial.
-    allowed : files and folders in it that may be used; a file also by the name of its temporary
-        copy, ``.NAME.*``, under which it is written.
+    ``trial`` : folder of the trial.
+    ``allowed`` : files and folders in it that may be used; a file also by the name of its
+        temporary copy, ``.NAME.*``, under which it is written.
     """
     fence = os.path.realpath(trial)
     free = [os.path.realpath(path) for path in allowed]

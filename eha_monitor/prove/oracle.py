@@ -33,8 +33,10 @@ from eha_monitor.mismatch.name.refit import (
 )
 from eha_monitor.mismatch.name.starts import (
     Start,
+    continuing,
     needs,
     possible,
+    sharing,
     starts_of,
     with_effect,
     without_effect,
@@ -56,16 +58,11 @@ EXACT = 0.02  # of an evidence: what a fit that is far behind may still lack
 
 @dataclass(frozen=True)
 class RigNumbers:
-    """The rig's numbers as nuisance parameters beside a model.
+    """The rig's numbers as nuisance parameters beside a model."""
 
-    Attributes
-    ----------
-    experiment : made with the config, not with the true rig.
-    wrong : numbers that are off by more than their tolerance allows, ``area`` for both of a pair:
-        their prior is wide.
-    """
-
-    experiment: Experiment
+    experiment: Experiment  # made with the config, not with the true rig
+    # Numbers that are off by more than their tolerance allows, ``area`` for both of a pair:
+    # their prior is wide
     wrong: frozenset[str] = frozenset()
 
     def free(self, named: Sequence[str]) -> tuple[Free, ...]:
@@ -88,9 +85,7 @@ class RigNumbers:
     def fitted(self, *starts: Fit, aim: float = -np.inf) -> Fit:
         """Return the best optimum over some starts; those that fall behind are not carried on.
 
-        Parameters
-        ----------
-        aim : likelihood of the complete model, log units: what is far below it need not be exact.
+        ``aim`` : likelihood of the complete model: what is far below it need not be exact.
         """
         fits = list(starts)
         while len(fits) > 1:
@@ -217,12 +212,8 @@ def instead(rig: RigNumbers, after: Fit, name: str, other: str, without: Fit) ->
 
     ``without`` : the fit with neither; its unknowns suit what is wrong.
     """
-    bounds = {p.name: p for p in CATALOGUE[other].parameters}
-    shared = {symbol: value for symbol, value in effect_values(after.theta, name).items()
-              if symbol in bounds and bounds[symbol].lower <= value <= bounds[symbol].upper}
     starts = starts_of(other, rig.experiment)
-    starts.append(replace(starts[0], values=tuple(
-        (symbol, shared.get(symbol, value)) for symbol, value in starts[0].values)))
+    starts.append(continuing(starts[0], effect_values(after.theta, name)))
     start_fit = replace(without_effect(rig.experiment, after, name), unknowns=without.unknowns)
     return rig.fitted(rig.beside(looked(rig, start_fit, starts)), aim=after.log_likelihood)
 
@@ -254,17 +245,9 @@ def entered_at(fit: Fit, start: Start) -> Fit:
 
 def true_start(experiment: Experiment, name: str, parameters: dict) -> Start:
     """Return the catalogue's start with the key's values where both have the symbol."""
-    start = starts_of(name, experiment)[0]
-    bounds = {p.name: p for p in CATALOGUE[name].parameters}
-
-    def value(symbol: str, own: float) -> float:
-        given = parameters.get(symbol)
-        if not isinstance(given, int | float) or not math.isfinite(given):
-            return own
-        return min(max(float(given), bounds[symbol].lower), bounds[symbol].upper)
-
-    return replace(start, values=tuple((symbol, value(symbol, own))
-                                       for symbol, own in start.values))
+    return sharing(starts_of(name, experiment)[0], {
+        symbol: float(value) for symbol, value in parameters.items()
+        if isinstance(value, int | float) and math.isfinite(value)})
 
 
 def rounding(experiment: Experiment, step: float) -> float:

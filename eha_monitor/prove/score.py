@@ -6,7 +6,7 @@ symmetric.  Calibration: what was stated with 90 % has to be so in 90 %.
 
 import math
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from statistics import median
 
 import numpy as np
@@ -48,33 +48,19 @@ def keys_off(truth: dict) -> list[str]:
 
 
 def findings_of(answer: dict) -> list[dict]:
-    """Return what an answer says of rig numbers, one entry a number, the surest of a pair."""
+    """Return what an answer says of rig numbers, one entry a number, the surest of a pair.
+
+    ``rivals`` : numbers and effects that it declares, each once.
+    """
     found: dict[str, dict] = {}
     for one in answer.get("rig_data", ()):
         name = number_of(one["key"])
-        if name not in found or sureness(one) > sureness(found[name]):
-            found[name] = {**one, "number": name}
+        sure = one.get("probability") or 0.0
+        if name not in found or sure > found[name]["sure"]:
+            rivals = dict.fromkeys(map(number_of, one.get("indistinguishable_from", ())))
+            found[name] = {**one, "number": name, "sure": sure,
+                           "rivals": tuple(other for other in rivals if other != name)}
     return list(found.values())
-
-
-def sureness(finding: dict) -> float:
-    """Return the probability of a finding, 0 where it states none."""
-    return finding.get("probability") or 0.0
-
-
-def rivals_of(finding: dict, own: str) -> tuple[str, ...]:
-    """Return the rivals that a finding declares, numbers and effects, each once."""
-    names = map(number_of, finding.get("indistinguishable_from", ()))
-    return tuple(name for name in dict.fromkeys(names) if name != own)
-
-
-def false_names(named: Sequence[str], paired: Sequence[str], errors: dict[str, float]
-                ) -> list[str]:
-    """Return the numbers that are named although they are within their tolerance.
-
-    One that stands for something that is there, by its declared class, is not false.
-    """
-    return [name for name in named if name not in paired and errors.get(name, 0.0) < NEAR]
 
 
 BINS = 10  # of stated probabilities, of equal width, from 0 to 1
@@ -87,32 +73,23 @@ def wilson(share: np.ndarray | float, n: np.ndarray | int) -> tuple:
     return np.minimum(middle - half, share), np.maximum(middle + half, share)
 
 
-def statement(of: str, said: object, right: bool | None) -> list[dict]:
-    """Return a statement with its probability; none where either is missing.
-
-    ``of`` : an effect, a number of the rig, ``consistent`` or ``unexplained``;  ``right`` :
-    whether it is so, None where nobody knows.
-    """
-    if right is None or not isinstance(said, int | float) or not 0.0 <= said <= 1.0:
-        return []
-    return [{"of": of, "said": float(said), "right": bool(right)}]
-
-
-def statements_of(answer: dict, findings: Iterable[dict], paired: Sequence[str],
+def statements_of(answer: dict, findings: Iterable[dict], paired: Collection[str],
                   consistent: bool | None, unexplained: bool | None) -> list[dict]:
-    """Return all statements of an answer.
+    """Return all statements of an answer with a probability of which somebody knows the truth.
+
+    Each is ``of`` an effect, a number of the rig, ``consistent`` or ``unexplained``.
 
     ``findings`` : what it says of rig numbers;  ``paired`` : names that stand for something that
     is there;  ``consistent``, ``unexplained`` : whether these are so, None where nobody knows.
     """
     stated = answer.get("probability") or {}
-    found = statement("consistent", stated.get("consistent"), consistent)
-    found += statement("unexplained", stated.get("unexplained"), unexplained)
-    for one in answer["effects"]:
-        found += statement(one["name"], one.get("probability"), one["name"] in paired)
-    for one in findings:
-        found += statement(one["number"], one.get("probability"), one["number"] in paired)
-    return found
+    names = [(one["name"], one) for one in answer["effects"]] + [
+        (one["number"], one) for one in findings]
+    every = [("consistent", stated.get("consistent"), consistent),
+             ("unexplained", stated.get("unexplained"), unexplained),
+             *((name, one.get("probability"), name in paired) for name, one in names)]
+    return [{"of": of, "said": float(said), "right": bool(right)} for of, said, right in every
+            if right is not None and isinstance(said, int | float) and 0.0 <= said <= 1.0]
 
 
 def reliability_of(statements: Sequence[dict]) -> list[dict]:
@@ -150,19 +127,6 @@ CONTAINED = {"stribeck_friction": ("coulomb_friction",),
              "presliding_friction": ("coulomb_friction",)}
 LEARNED_NEAR = 0.03  # of B and beta_e, beside a learned term
 INSIDE = 0.9  # share of the places at which the true curve is in the band
-# As :data:`MARKS`: words, aim as text and as a number, whether more is better.
-LEARNED = {
-    "learned_told": ("outside: a term learned of it", "", None, True),
-    "learned_removed": ("outside: error on unseen data removed by it, median", "at least 80 %",
-                        0.8, True),
-    "learned_worse": ("outside: worse on unseen data than the model before", "never", 0.0, False),
-    "learned_B": ("outside: B within 3 % beside a learned term", "", None, True),
-    "learned_beta_e": ("outside: bulk modulus within 3 % beside a learned term", "", None, True),
-    "learned_inside": ("outside: true curve in the band at 90 % of the places, where the term is "
-                       "of the right signals", "", None, True),
-    "learned_shape": ("outside: signals and shape of the formula right", "at least 50 %", 0.5,
-                      True),
-}
 # What was concealed -> signals that it is a function of, its true curve (None where the key does
 # not hold all its numbers), names of its shape.
 LAWS: dict[str, tuple[tuple[str, ...], Callable[[float, dict], float] | None, tuple[str, ...]]] = {
@@ -202,7 +166,16 @@ MARKS = {
                                          "numbers are right", "", None, True),
     "parameters_inside_2_sigma": ("parameters inside their ± two standard deviations",
                                   "at least 90 %", 0.9, True),
-    **LEARNED,
+    "learned_told": ("outside: a term learned of it", "", None, True),
+    "learned_removed": ("outside: error on unseen data removed by it, median", "at least 80 %",
+                        0.8, True),
+    "learned_worse": ("outside: worse on unseen data than the model before", "never", 0.0, False),
+    "learned_B": ("outside: B within 3 % beside a learned term", "", None, True),
+    "learned_beta_e": ("outside: bulk modulus within 3 % beside a learned term", "", None, True),
+    "learned_inside": ("outside: true curve in the band at 90 % of the places, where the term is "
+                       "of the right signals", "", None, True),
+    "learned_shape": ("outside: signals and shape of the formula right", "at least 50 %", 0.5,
+                      True),
 }
 NONE, UNEXPLAINED, FAILED = "none", "unexplained", "failed"
 
@@ -235,7 +208,7 @@ def row_of(truth: dict, answer: dict | None, oracle: dict | None = None,
     rig_known = [name for name in off if not oracle or (rig_evidence.get(name) or 0) >= DETECTABLE]
     classes = {one["name"]: tuple(map(number_of, one["indistinguishable_from"]))
                for one in answer["effects"]}
-    said = {**classes, **{one["number"]: rivals_of(one, one["number"]) for one in findings}}
+    said = {**classes, **{one["number"]: one["rivals"] for one in findings}}
     accepted = {**{one["name"]: accepted_for(one, names, oracle)
                    for one in [*truth["effects"], *beside] if one["in_catalogue"]},
                 **{name: {name} for name in (*off, *loose)}}
@@ -290,11 +263,11 @@ def row_of(truth: dict, answer: dict | None, oracle: dict | None = None,
         "learned": learned_row(truth, answer),
         "rig_off": off, "rig_expected": rig_known, "rig_evidence": rig_evidence,
         "rig_classes": {one["number"]: list(said[one["number"]]) for one in findings},
-        "rig_false": false_names([one["number"] for one in findings], list(pairs.values()),
-                                 errors_off),
+        # Within its tolerance, and not in the declared class of something that is there.
+        "rig_false": [one["number"] for one in findings if one["number"] not in pairs.values()
+                      and errors_off.get(one["number"], 0.0) < NEAR],
         "rig_errors": truth.get("rig_off", []),
-        "probabilities": statements_of(answer, findings, list(pairs.values()), consistent,
-                                       shown),
+        "probabilities": statements_of(answer, findings, pairs.values(), consistent, shown),
         "motion": truth.get("motion"), "noise": truth.get("noise"),
         "channels": truth.get("channels"),
         "wall_s": answer.get("wall_s"), "seconds": (run or {}).get("seconds"),

@@ -360,7 +360,7 @@ def answer(trial: Trial, say: Report, what: str = "diagnosing") -> None:
         return [*map(str, (trial.work, *bags, *unseen, config, answer, "--", *words))]
 
     ask(trial, tuple(questions), Questions("eha_monitor.prove.blind", trial.work / "answers",
-                                       source_digest(ROOMS), arguments, what), say)
+                                           source_digest(ROOMS), arguments, what), say)
 
 
 def ask_oracle(trial: Trial, say: Report) -> None:

@@ -171,8 +171,8 @@ def advice(experiment: Experiment, fit: Fit, doubts: dict[str, tuple[str, ...]],
              for rival in others if rival in CATALOGUE]  # a number of the rig is looked up
     here = traces.gram([s.label for s in [*base, *slopes, *found_slopes]])
     reading = Reading(fit, here, base, directions, found)
-    named = [c for d in found for parameter in ("B", "beta_e") if parameter in reading.labels
-             and (c := reading.confusion(d, parameter, d.amount, True)) is not None]
+    named = [c for d in found for parameter in reading.health
+             if (c := reading.confusion(d, parameter, d.amount, True)) is not None]
     confusions = (*named, *reading.confusions())
     units = {"B": unit, "beta_e": "Pa"} | {
         f"{name}.{p.name}": p.unit for name in NAMES for p in CATALOGUE[name].parameters}

@@ -31,21 +31,14 @@ BASE = ("B", "beta_e")
 
 @dataclass(frozen=True)
 class Direction:
-    """One size of one effect and its trace.
+    """One size of one effect and its trace."""
 
-    Attributes
-    ----------
-    effect, parameter, unit : of the catalogue.
-    amount : value of the size at which the trace was taken, SI; ``label`` its row in the Gram.
-    start : the start that it comes from.
-    """
-
-    effect: str
+    effect: str  # of the catalogue
     parameter: str
     unit: str
-    amount: float
-    label: str
-    start: Start
+    amount: float  # value of the size at which the trace was taken, SI
+    label: str  # its row in the Gram
+    start: Start  # that it comes from
 
 
 @dataclass(frozen=True)
@@ -165,6 +158,7 @@ class Reading:
         self.directions = best_starts(directions, gram)
         self.weights = {slope.label: slope.weight for slope in base}
         self.labels = [slope.label for slope in base]
+        self.health = [parameter for parameter in BASE if parameter in self.labels]
         self.plateaus = gram.count_part / max(gram.count, 1)
         self.has_plateaus = self.plateaus >= LEAST_STEADY
 
@@ -198,24 +192,17 @@ class Reading:
     def matters(self, d: Direction, steady: bool = False) -> float:
         """Return the size of an effect that matters: by itself, or to B or beta_e."""
         size = MATTERS * abs(d.amount)
-        for parameter in BASE:
-            if parameter in self.labels:
-                one = abs(self.shift(d, parameter, d.amount, steady))
-                if one > 0:
-                    size = min(size, SHIFT * abs(self.fit.value(parameter)) / one * abs(d.amount))
+        for parameter in self.health:
+            one = abs(self.shift(d, parameter, d.amount, steady))
+            if one > 0:
+                size = min(size, SHIFT * abs(self.fit.value(parameter)) / one * abs(d.amount))
         return size
 
     def confusions(self) -> tuple[Confusion, ...]:
         """Return pairs of a health parameter and an effect that take one another's part."""
-        found = []
-        for d in self.directions:
-            for parameter in BASE:
-                if parameter not in self.labels:
-                    continue
-                one = self.confusion(d, parameter, MATTERS * abs(d.amount))
-                if one is not None:
-                    found.append(one)
-        found = ties.ordered(found, lambda c: abs(c.correlation))
+        every = (self.confusion(d, parameter, MATTERS * abs(d.amount))
+                 for d in self.directions for parameter in self.health)
+        found = ties.ordered(filter(None, every), lambda c: abs(c.correlation))
         return tuple(sorted(found, key=lambda c: CATALOGUE[c.effect].rarity))
 
     def confusion(self, d: Direction, parameter: str, amount: float, named: bool = False
@@ -262,8 +249,7 @@ class Reading:
             size = self.matters(d)
             gain = gain_of(left * (size / d.amount) ** 2, n)
             shifts = {parameter: self.shift(d, parameter, visible) / self.fit.value(parameter)
-                      for parameter in BASE if parameter in self.labels
-                      } if np.isfinite(visible) else {}
+                      for parameter in self.health} if np.isfinite(visible) else {}
             found.append(DetectionLimit(
                 d.effect, d.parameter, d.unit, size, visible, gain, shifts))
         return tuple(ties.ordered(found, lambda limit: -limit.gain))

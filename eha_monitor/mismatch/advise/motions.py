@@ -26,21 +26,14 @@ DIGITS = 3  # of amplitudes
 
 @dataclass(frozen=True)
 class Limits:
-    """What a recording went to, and a planned motion may: the rig's own limits are not known.
+    """What a recording went to, and a planned motion may: the rig's own limits are not known."""
 
-    Attributes
-    ----------
-    middle, reach : mean position and largest distance from it, m.
-    speed : largest |v|, m/s; ``pump_speed`` largest |omega|, rad/s, or |v| without a pump.
-    gain : of the position loop, rad/s per m, or 1/s; ``loop`` its time constant, s.
-    """
-
-    middle: float
-    reach: float
-    speed: float
-    pump_speed: float
-    gain: float
-    loop: float
+    middle: float  # mean position, m
+    reach: float  # largest distance from it, m
+    speed: float  # largest |v|, m/s
+    pump_speed: float  # largest |omega|, rad/s, or |v| without a pump
+    gain: float  # of the position loop, rad/s per m, or 1/s
+    loop: float  # its time constant, s
 
 
 @dataclass(frozen=True)

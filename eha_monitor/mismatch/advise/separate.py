@@ -21,7 +21,13 @@ from eha_monitor.mismatch.data.inputs import CLOSED, cubics
 from eha_monitor.mismatch.likelihood.fit import Fit, free_run, with_unknowns
 from eha_monitor.mismatch.likelihood.information import Gram, Slope, Traces, free_slopes, gain_of
 from eha_monitor.mismatch.name.refit import settled
-from eha_monitor.mismatch.name.starts import directions_of, starts_of, with_effect, without_effect
+from eha_monitor.mismatch.name.starts import (
+    continuing,
+    directions_of,
+    starts_of,
+    with_effect,
+    without_effect,
+)
 from eha_monitor.physics.effects import CATALOGUE, NAMES
 from eha_monitor.physics.parameters import effect_values, place_of
 
@@ -64,30 +70,20 @@ FORM = 1e-3  # of a trace's squares: no model is right to 3 % of an effect, so l
 
 @dataclass(frozen=True)
 class Question:
-    """Two models between which the recording is to decide.
+    """Two models between which the recording is to decide."""
 
-    Attributes
-    ----------
-    effect : that is there; ``rival`` the effect that may be there instead, or "" where B and
-        beta_e alone may take its part.
-    parameter : ``B`` or ``beta_e`` where the question is what of it is the effect, or "".
-    steady : only the recording's plateaus count, and the motion away from its reversals:
-        the answer then does not hang on how friction reverses.
-    truth, other : the model with the effect, and the other one.
-    amount : of the effect in which they differ, SI; ``symbol`` its size, in ``unit``.
-    reference : which of the two is the fit at which slopes are taken: ``truth`` or ``other``.
-    """
-
-    effect: str
-    rival: str
-    parameter: str
+    effect: str  # that is there
+    rival: str  # effect that may be there instead; "": B and beta_e alone may take its part
+    parameter: str  # ``B`` or ``beta_e`` where the question is what of it is the effect, or ""
+    # Only the recording's plateaus count, and the motion away from its reversals: the answer
+    # then does not hang on how friction reverses
     steady: bool
-    truth: Fit
-    other: Fit
-    amount: float
-    symbol: str
+    truth: Fit  # the model with the effect
+    other: Fit  # the other one
+    amount: float  # of the effect in which they differ, SI
+    symbol: str  # its size
     unit: str
-    reference: str = "truth"
+    reference: str = "truth"  # which of the two is the fit at which slopes are taken
 
     @property
     def label(self) -> str:
@@ -131,6 +127,10 @@ class Tried:
     motion: Motion
     gains: tuple[float, ...]
 
+    def settles(self, wanted: float = WANTED) -> int:
+        """Return how many questions it decides by the log units that must be predicted."""
+        return sum(gain >= wanted for gain in self.gains)
+
 
 @dataclass(frozen=True)
 class Check:
@@ -169,34 +169,20 @@ class Doubt:
 
 @dataclass(frozen=True)
 class Advice:
-    """What a recording separates, what it leaves open, and what to record next.
+    """What a recording separates, what it leaves open, and what to record next."""
 
-    Attributes
-    ----------
-    known : the fitted parameters.
-    plateaus : share of the recording in which the speed is steady.
-    confusions : health parameters and effects that take one another's part.
-    detection_limits : from which size on each effect shows.
-    groups : effects that show, but not which of them it is.
-    doubts : what is to be settled; ``motion`` the cheapest that does, None where none does or
-        nothing is in doubt; ``tried`` what was considered, with log units for each doubt.
-    checks : the proposed motion in simulation.
-    plannable : False where the config has too little to simulate a motion.
-    said : what the balances advise, where they answer.
-    """
-
-    known: tuple[Known, ...]
-    plateaus: float
-    confusions: tuple[Confusion, ...]
-    detection_limits: tuple[DetectionLimit, ...]
-    groups: tuple[tuple[str, ...], ...]
-    doubts: tuple[Doubt, ...]
-    motion: Motion | None
-    tried: tuple[Tried, ...]
-    checks: tuple[Check, ...]
-    plannable: bool
+    known: tuple[Known, ...]  # the fitted parameters
+    plateaus: float  # share of the recording in which the speed is steady
+    confusions: tuple[Confusion, ...]  # health parameters and effects that take one another's part
+    detection_limits: tuple[DetectionLimit, ...]  # from which size on each effect shows
+    groups: tuple[tuple[str, ...], ...]  # effects that show, but not which of them it is
+    doubts: tuple[Doubt, ...]  # what is to be settled
+    motion: Motion | None  # the cheapest that does; None where none does, or nothing is in doubt
+    tried: tuple[Tried, ...]  # what was considered, with log units for each doubt
+    checks: tuple[Check, ...]  # the proposed motion in simulation
+    plannable: bool  # False where the config has too little to simulate a motion
     damping_unit: str = "N·s/m"
-    said: tuple[str, ...] = ()
+    said: tuple[str, ...] = ()  # what the balances advise, where they answer
 
 
 def instead(experiment: Experiment, fit: Fit, effect: str, rival: Fit, name: str) -> Fit:
@@ -221,15 +207,9 @@ def entered_at(experiment: Experiment, traces: Traces, effect: str, name: str,
     """
     fit = traces.fit
     bare = without_effect(experiment, fit, effect)
-    start = starts_of(name, experiment)[0]
-    values, bounds = dict(start.values), {p.name: p for p in CATALOGUE[name].parameters}
-    held = effect_values(fit.theta, effect)
-    for p in CATALOGUE[effect].parameters:
-        now = held[p.name]
-        if p.name in values and p.default is not None and (
-                bounds[p.name].lower <= now <= bounds[p.name].upper):
-            values[p.name] = now
-    start = replace(start, values=tuple(values.items()))
+    held, shapes = effect_values(fit.theta, effect), [
+        p.name for p in CATALOGUE[effect].parameters if p.default is not None]
+    start = continuing(starts_of(name, experiment)[0], {key: held[key] for key in shapes})
     origin, gone = (bare.theta, bare.active), f"{effect}|{name}|gone"
     own = [Slope(f"{effect}|{name}|size {i}", model, 1.0, 0.0, origin)
            for i, model in enumerate(directions_of(bare, start))]
@@ -245,10 +225,8 @@ def try_motions(experiment: Experiment, fit: Fit, questions: Sequence[Question],
                 limits: Limits, base: Sequence[Slope], every: bool = True) -> list[Tried]:
     """Return motions with what they tell; two after one another where one does not do.
 
-    Parameters
-    ----------
-    here : what the recording says; a motion is judged together with it.
-    every : try all motions, for the table; otherwise a few, until one will do.
+    ``here`` : what the recording says; a motion is judged together with it.
+    ``every`` : try all motions, for the table; otherwise a few, until one will do.
     """
     slopes = [*base, *(slope for q in questions for slope in q.slopes())]
     labels = [slope.label for slope in slopes]
@@ -270,8 +248,8 @@ def try_motions(experiment: Experiment, fit: Fit, questions: Sequence[Question],
             break
     if not tried:
         return []
-    solved = [sum(gain >= WANTED for gain in one.gains) for one in tried]
-    if max(solved) < len(questions):
+    most = max(one.settles() for one in tried)
+    if most < len(questions):
         pairs = ties.ordered(((tried[i].motion.duration + tried[j].motion.duration, i, j)
                               for i, j in combinations(range(len(tried)), 2)),
                              lambda row: -row[0])
@@ -280,10 +258,11 @@ def try_motions(experiment: Experiment, fit: Fit, questions: Sequence[Question],
                 break
             if share_within(limits, joined(tried[i].motion, tried[j].motion).segments) < 1.0:
                 continue  # the jump from one to the other is too far
-            gains = tuple(q.gain(here + grams[i] + grams[j], base) for q in questions)
-            if sum(gain >= WANTED for gain in gains) > max(solved):
-                tried.append(Tried(joined(tried[i].motion, tried[j].motion), gains))
-                solved.append(sum(gain >= WANTED for gain in gains))
+            both = Tried(joined(tried[i].motion, tried[j].motion), tuple(
+                q.gain(here + grams[i] + grams[j], base) for q in questions))
+            if both.settles() > most:
+                tried.append(both)
+                most = both.settles()
     return tried
 
 
@@ -295,12 +274,11 @@ def cheapest(tried: Sequence[Tried], rejected: Sequence[str] = (), wanted: float
 
     ``wanted`` : log units that must be predicted.
     """
-    left = [(sum(gain >= wanted for gain in one.gains), one) for one in tried
-            if one.motion.name not in rejected]
-    most = max((count for count, _ in left), default=0)
+    left = [one for one in tried if one.motion.name not in rejected]
+    most = max((one.settles(wanted) for one in left), default=0)
     if most == 0:
         return None
-    return ties.best((one.motion for count, one in left if count == most),
+    return ties.best((one.motion for one in left if one.settles(wanted) == most),
                      lambda motion: -motion.duration, lambda motion: len(motion.segments))
 
 

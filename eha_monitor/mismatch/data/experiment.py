@@ -73,53 +73,33 @@ class Work:
 
 @dataclass(frozen=True)
 class Experiment:
-    """Recordings of one rig as the mismatch filter takes them.
+    """Recordings of one rig as the mismatch filter takes them."""
 
-    Attributes
-    ----------
-    settings : nominal config, effects included.
-    mode : ``CLOSED`` (x_d drives the loop), ``OPEN`` (pump speed drives) or ``FORCED``.
-    dt, steps : sample time in s, integration steps in it.
-    used : (N_OUTPUTS,) bool, the channels that are compared.
-    noise : (N_OUTPUTS,) standard deviation of each sensor, SI.
-    theta, active : nominal parameters and the effects that the config has.
-    stretches, ranges : the data, and what they cover.
-    position_step : resolution of the position sensor, m; 0 where it is continuous.
-    input_noise : standard deviation of the noise on a measured input, in its unit.
-    wanted_speed : the input of ``CLOSED`` is the speed that the drive was told, not x_d.
-    by_pressures : the input of ``FORCED`` is what the pressure sensors say.
-    held : the drive holds its command over each sample, a digital controller.
-    hears : such a drive reads the recorded position with its noise, and not a cleaner one.
-    drift : by how much the circuit outside the model moves a chamber's pressure in a sample, Pa.
-    windows : the stretches are windows of longer recordings.
-    without : effects of the catalogue that are not considered.
-    policy : the numbers that decide what is named.
-    log_step : of a parameter's logarithm, over which a slope is taken.
-    work : what filters have done.
-    """
-
-    settings: Settings
-    mode: int
-    dt: float
-    steps: int
-    used: np.ndarray
-    noise: np.ndarray
-    theta: np.ndarray
-    active: np.ndarray
-    stretches: tuple[Stretch, ...]
-    ranges: Ranges
-    position_step: float = 0.0
-    input_noise: float = 0.0
+    settings: Settings  # nominal config, effects included
+    mode: int  # ``CLOSED`` (x_d drives the loop), ``OPEN`` (pump speed drives) or ``FORCED``
+    dt: float  # sample time, s
+    steps: int  # of the integration in a sample
+    used: np.ndarray  # (N_OUTPUTS,) bool, the channels that are compared
+    noise: np.ndarray  # (N_OUTPUTS,) standard deviation of each sensor, SI
+    theta: np.ndarray  # nominal parameters
+    active: np.ndarray  # effects that the config has
+    stretches: tuple[Stretch, ...]  # the data
+    ranges: Ranges  # what they cover
+    position_step: float = 0.0  # resolution of the position sensor, m; 0 where it is continuous
+    input_noise: float = 0.0  # standard deviation of the noise on a measured input, in its unit
+    # ``CLOSED``: its input is the speed that the drive was told, not x_d
     wanted_speed: bool = False
+    # By how much the circuit outside the model moves a chamber's pressure in a sample, Pa
     drift: float = 0.0
-    by_pressures: bool = False
-    held: bool = False
+    by_pressures: bool = False  # ``FORCED``: its input is what the pressure sensors say
+    held: bool = False  # the drive holds its command over each sample, a digital controller
+    # Such a drive reads the recorded position with its noise, not a cleaner one
     hears: bool = True
-    windows: bool = False
-    without: tuple[str, ...] = ()
-    policy: SearchPolicy = POLICY
-    log_step: float = SMOOTH
-    work: Work = field(default_factory=Work, compare=False, repr=False)
+    windows: bool = False  # the stretches are windows of longer recordings
+    without: tuple[str, ...] = ()  # effects of the catalogue that are not considered
+    policy: SearchPolicy = POLICY  # the numbers that decide what is named
+    log_step: float = SMOOTH  # of a parameter's logarithm, over which a slope is taken
+    work: Work = field(default_factory=Work, compare=False, repr=False)  # what filters have done
 
     @property
     def n(self) -> int:
@@ -130,6 +110,11 @@ class Experiment:
     def columns(self) -> np.ndarray:
         """Places of the used outputs."""
         return np.flatnonzero(self.used)
+
+    def counted(self, parts: Sequence[np.ndarray]) -> np.ndarray:
+        """Return what is given for each stretch (n, ...) at its counted samples, joined."""
+        return np.concatenate([part[stretch.counted] for part, stretch in zip(
+            parts, self.stretches, strict=True)])
 
     def only(self, stretches: tuple[Stretch, ...]) -> "Experiment":
         """Return the same rig with other data."""

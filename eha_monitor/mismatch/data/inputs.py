@@ -150,30 +150,20 @@ BURN_IN = 0.15  # s at the start of each stretch in which the filter finds the s
 
 @dataclass(frozen=True)
 class Stretch:
-    """One gapless stretch of a recording.
+    """One gapless stretch of a recording."""
 
-    Attributes
-    ----------
-    start : time of its first sample in its recording, s; ``source`` names the recording.
-    z : (n, N_OUTPUTS) measured x, v, p1, p2, omega (SI), NaN where missing.
-    u : (n, 4) input as cubics: x_d (m), pump speed (rad/s) or force (N).
-    p1, p2 : (n,) pressures for a forced model, Pa.
-    counted : (n,) bool, samples whose innovations are fitted.
-    held_out : (n,) bool, samples kept aside for the proof.
-    loose : (n,) share of the pressure difference that is taken from the sensors because the
-        input's course before the sample is not known, or None.
-    angle : (n,) what the shaft has turned since the recording began, rad; None if nothing says it.
-    """
-
-    source: str
-    start: float
-    z: np.ndarray
-    u: np.ndarray
-    p1: np.ndarray
+    source: str  # names the recording
+    start: float  # time of its first sample in its recording, s
+    z: np.ndarray  # (n, N_OUTPUTS) measured x, v, p1, p2, omega (SI), NaN where missing
+    u: np.ndarray  # (n, 4) input as cubics: x_d (m), pump speed (rad/s) or force (N)
+    p1: np.ndarray  # (n,) pressures for a forced model, Pa
     p2: np.ndarray
-    counted: np.ndarray
-    held_out: np.ndarray
+    counted: np.ndarray  # (n,) bool, samples whose innovations are fitted
+    held_out: np.ndarray  # (n,) bool, samples kept aside for the proof
+    # (n,) share of the pressure difference that is taken from the sensors because the
+    # input's course before the sample is not known, or None
     loose: np.ndarray | None = None
+    # (n,) what the shaft has turned since the recording began, rad; None if nothing says it
     angle: np.ndarray | None = None
 
     @property
@@ -262,10 +252,8 @@ def most_informative(grams: list[np.ndarray], lengths: list[int], most: int, siz
                      ) -> list[int]:
     """Return the windows whose log det together is the largest, in order: D-optimal, greedy.
 
-    Parameters
-    ----------
-    grams : (k, k) products of a window's columns, of length 0 where it says nothing.
-    lengths : samples of each, about ``size``; ``most`` of all that are chosen.
+    ``grams`` : (k, k) products of a window's columns, of length 0 where it says nothing.
+    ``lengths`` : samples of each, about ``size``; ``most`` of all that are chosen.
     """
     whole, chosen, samples = np.eye(max(map(len, grams))), [], 0
     left = [i for i, gram in enumerate(grams) if len(gram)]

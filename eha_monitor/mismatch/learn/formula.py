@@ -18,8 +18,8 @@ from scipy.linalg import cholesky, solve_triangular
 
 from eha_monitor import ties
 from eha_monitor.mismatch.data.experiment import Experiment
-from eha_monitor.mismatch.learn.learned import SHARPEST, Form, Learned, score_of
-from eha_monitor.mismatch.likelihood.fit import Fit, Free, remade, spread
+from eha_monitor.mismatch.learn.learned import SHARPEST, Form, Learned, score_of, with_own
+from eha_monitor.mismatch.likelihood.fit import Fit, Free, spread
 from eha_monitor.mismatch.name.finalists import CLOSE
 from eha_monitor.mismatch.name.refit import settled
 from eha_monitor.physics.contributions import ALL_NAMES, slot_of
@@ -32,25 +32,18 @@ Start = dict[str, float]
 
 @dataclass(frozen=True)
 class Shape:
-    """A shape that a curve may have, with its name in words.
+    """A shape that a curve may have, with its name in words."""
 
-    Attributes
-    ----------
-    text : expression in ``u`` and its parameters.
-    shown : how a person reads it; parameters and ``u`` in braces.
-    units : parameter -> ``y``, ``u``, ``y/u``, ``y/u2``, ``y/u3`` or ``y/ru``: of the curve, of
-        the signal, of their ratio, of the ratio with its square, its cube, its root; ``rad`` of
-        an angle, ``1`` of a number.
-    starts : of a curve, (n,) places and (n,) values, where a fit may begin.
-    positive : parameters that are widths or limits.
-    """
-
-    name: str
-    text: str
-    shown: str
+    name: str  # in words
+    text: str  # expression in ``u`` and its parameters
+    shown: str  # how a person reads it; parameters and ``u`` in braces
+    # Parameter -> ``y``, ``u``, ``y/u``, ``y/u2``, ``y/u3`` or ``y/ru``: of the curve, of
+    # the signal, of their ratio, of the ratio with its square, its cube, its root; ``rad``
+    # of an angle, ``1`` of a number
     units: dict[str, str]
+    # Of a curve, (n,) places and (n,) values, where a fit may begin
     starts: Callable[[np.ndarray, np.ndarray], Iterator[Start]]
-    positive: tuple[str, ...] = ()
+    positive: tuple[str, ...] = ()  # parameters that are widths or limits
 
 
 def _extreme(u: np.ndarray, y: np.ndarray) -> tuple[float, float, float]:
@@ -78,10 +71,8 @@ def _law(size: str, law: Callable, shape: str = "", of: Callable = lambda u, sha
          shares: tuple[float, ...] = (0.0,)) -> Callable:
     """Return what yields a law's size by least squares, for each place or width of its shape.
 
-    Parameters
-    ----------
-    size, shape : names of the parameters; ``law`` of u and the shape's value.
-    of : the shape's value of u and a share.
+    ``size``, ``shape`` : names of the parameters; ``law`` of u and the shape's value.
+    ``of`` : the shape's value of u and a share.
     """
     def starts(u, y):
         for share in shares:
@@ -214,21 +205,14 @@ WIDE = 3.0  # times its own size: the prior deviation of a formula's parameter
 
 @dataclass(frozen=True)
 class Formula:
-    """A formula in the place of a table.
+    """A formula in the place of a table."""
 
-    Attributes
-    ----------
-    shape : which; ``text`` the expression of a config, ``values`` its parameters, SI.
-    shown : with its numbers, as a person reads it.
-    fit : the model with it; ``evidence`` log units, comparable with :attr:`Learned.evidence`.
-    """
-
-    shape: str
-    text: str
-    values: dict[str, float]
-    shown: str
-    fit: Fit
-    evidence: float
+    shape: str  # which
+    text: str  # expression of a config
+    values: dict[str, float]  # its parameters, SI
+    shown: str  # with its numbers, as a person reads it
+    fit: Fit  # the model with it
+    evidence: float  # log units, comparable with :attr:`Learned.evidence`
 
     def entry(self, adds: str) -> dict:
         """Return it as an entry of a config's ``effects``."""
@@ -311,10 +295,8 @@ def fitted_shape(shape: Shape, start: Start, places: np.ndarray, y: np.ndarray,
                  left: Callable[[dict[str, float]], np.ndarray]) -> tuple[float, dict[str, float]]:
     """Return half the sum of squares that a shape leaves at best, and its parameters, SI.
 
-    Parameters
-    ----------
-    start : its parameters; ``places``, ``y`` (n,) a curve that is as wide and as high.
-    left : parameters -> (m,) residuals.
+    ``start`` : its parameters; ``places``, ``y`` (n,) a curve that is as wide and as high.
+    ``left`` : parameters -> (m,) residuals.
     """
     from scipy.optimize import least_squares  # half a second, for what is seldom learned
 
@@ -343,15 +325,10 @@ def refitted(experiment: Experiment, learned: Learned, shape: Shape, values: dic
     """Return a formula fitted to the recording, in the table's place, beside all else."""
     form, which = learned.table.form, learned.which
     text, values = as_expression(shape, form, values, learned.scale)
-    expression = parsed(text)
-    slot, own = slot_of(which), ALL_NAMES[which]
-    theta, active = learned.fit.theta.copy(), learned.fit.active.copy()
-    theta[slot] = expression.slot(form.adds, values)
-    y = learned.values / learned.divisor
+    y, free, places = learned.values / learned.divisor, [], constants_in(which, text)
     fastest = max(experiment.ranges.speed, 1e-9)
-    free = [f for f in learned.fit.free if f.owner != own]
-    for key, place in expression.parameters.items():
-        at, name = slot.start + CONSTANTS + place, f"{own}.{key}"
+    for key, at in places.items():
+        name = f"{ALL_NAMES[which]}.{key}"
         if key == "v_e":
             free.append(Free(name, at, SHARPEST * fastest, fastest,
                              float(np.log(values[key])), experiment.policy.shape, True))
@@ -361,12 +338,17 @@ def refitted(experiment: Experiment, learned: Learned, shape: Shape, values: dic
         else:
             size = scale_of(shape.units[key], learned.knots, y)
             free.append(Free(name, at, -1e3 * size, 1e3 * size, 0.0, WIDE * size))
-    made = settled(experiment, remade(
-        experiment, learned.fit, theta=theta, active=active, free=tuple(free)))
-    found = {key: float(made.theta[slot.start + CONSTANTS + place])
-             for key, place in expression.parameters.items()}
+    made = settled(experiment, with_own(
+        experiment, learned.fit, which, parsed(text).slot(form.adds, values), free))
+    found = {key: float(made.theta[at]) for key, at in places.items()}
     return Formula(shape.name, text, found, shown_as(shape, form, found), made,
                    score_of(experiment, made) + experiment.policy.unnamed)
+
+
+def constants_in(which: int, text: str) -> dict[str, int]:
+    """Return the places in theta of the parameters of an own term's expression, by name."""
+    return {key: slot_of(which).start + CONSTANTS + place
+            for key, place in parsed(text).parameters.items()}
 
 
 def as_expression(shape: Shape, form: Form, values: dict[str, float], scale: float

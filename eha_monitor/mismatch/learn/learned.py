@@ -43,19 +43,11 @@ BALANCE = {adds: unknown.partition("_")[0] for adds, unknown in UNKNOWN.items()}
 
 @dataclass(frozen=True)
 class Form:
-    """A way in which a missing term may depend on the signals; keys of an own term's table.
+    """A way in which a missing term may depend on the signals; keys of an own term's table."""
 
-    Attributes
-    ----------
-    adds : ``force`` N, ``flow``, ``flow_1``, ``flow_2`` m³/s or ``speed`` rad/s.
-    of : the signal of the table.
-    times : what the table's value is multiplied by: ``none``, ``direction``, ``v``, ``dp`` or
-        ``omega``.
-    """
-
-    adds: str
-    of: str
-    times: str = "none"
+    adds: str  # ``force`` N, ``flow``, ``flow_1``, ``flow_2`` m³/s or ``speed`` rad/s
+    of: str  # signal of the table
+    times: str = "none"  # factor of its value: ``none``, ``direction``, ``v``, ``dp`` or ``omega``
 
     @property
     def name(self) -> str:
@@ -101,18 +93,13 @@ def factor_along(track: np.ndarray, times: str, scale: float) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Table:
-    """A form over the range that a recording covers.
-
-    Attributes
-    ----------
-    first, last : ends of the table, SI;  ``scale`` of its factor;  ``unit`` of its values, SI.
-    """
+    """A form over the range that a recording covers."""
 
     form: Form
-    first: float
+    first: float  # ends of the table, SI
     last: float
-    scale: float
-    unit: float
+    scale: float  # of its factor
+    unit: float  # of its values, SI
 
     def knots(self, count: int) -> np.ndarray:
         """Return the places of its values, (count,) SI."""
@@ -127,19 +114,14 @@ class Table:
 
 @dataclass(frozen=True)
 class Guess:
-    """A table with its curve by the linear guess.
-
-    Attributes
-    ----------
-    evidence, values : log units, and (KNOTS,) SI.
-    ranked : the same guess of all other numbers, of ``what`` columns; its level of the unknowns.
-    """
+    """A table with its curve by the linear guess."""
 
     table: Table
-    evidence: float
-    values: np.ndarray
+    evidence: float  # log units
+    values: np.ndarray  # (KNOTS,) SI
+    # The same guess of all other numbers, at its level of the unknowns
     ranked: Ranked | None = None
-    what: tuple[Column, ...] = ()
+    what: tuple[Column, ...] = ()  # whose its columns are
 
 
 def tables_of(experiment: Experiment, fit: Fit) -> tuple[Table, ...]:
@@ -173,12 +155,9 @@ def periods_of(experiment: Experiment, fit: Fit, tracks: list[np.ndarray]) -> in
     A pump's flow ripples with its pistons or teeth, in proportion to its speed, with harmonics.
     An innovation is what entered over the sample before it, so the angle in its middle counts.
     """
-    counted = [stretch.counted for stretch in experiment.stretches]
-    middle = [np.concatenate([[0.0], 0.5 * (track[1:, s.ANGLE] + track[:-1, s.ANGLE])])
-              for track in tracks]
-    angle = np.concatenate([one[mask] for one, mask in zip(middle, counted, strict=True)])
-    speed = np.concatenate([track[mask, s.OMEGA]
-                            for track, mask in zip(tracks, counted, strict=True)])
+    angle = experiment.counted([np.concatenate(
+        [[0.0], 0.5 * (track[1:, s.ANGLE] + track[:-1, s.ANGLE])]) for track in tracks])
+    speed = experiment.counted([track[:, s.OMEGA] for track in tracks])
     left = np.nan_to_num(fit.e / np.nanstd(fit.e, axis=0))
     shares = np.zeros(HARMONICS * MOST_PERIODS + 1)
     for k in range(1, len(shares)):
@@ -235,25 +214,16 @@ SHARPEST = 1e-5  # of the largest speed
 
 @dataclass(frozen=True)
 class Learned:
-    """A model with a learned term.
+    """A model with a learned term."""
 
-    Attributes
-    ----------
-    table : as it was entered; ``count`` of its values, ``which`` place of its own term among all
-        effects.
-    fit : the model; ``evidence`` of it, log units, prior odds of its names included.
-    without : the best model without it; ``gained`` log units over that.
-    decides : it explains more than the form error of what was named can be.
-    """
-
-    table: Table
-    count: int
-    which: int
-    fit: Fit
-    evidence: float
-    without: Fit
-    gained: float
-    decides: bool = True
+    table: Table  # as it was entered
+    count: int  # of its values
+    which: int  # place of its own term among all effects
+    fit: Fit  # the model
+    evidence: float  # of it, log units, prior odds of its names included
+    without: Fit  # the best model without it
+    gained: float  # log units over that
+    decides: bool = True  # it explains more than the form error of what was named can be
 
     @property
     def balance(self) -> str:
@@ -311,21 +281,30 @@ def entered_at_best(experiment: Experiment, base: Fit, which: int, guess: Guess)
                key=lambda fit: fit.log_likelihood)
 
 
+def with_own(experiment: Experiment, base: Fit, which: int, numbers: np.ndarray,
+             free: Sequence[Free]) -> Fit:
+    """Return a model with ``numbers`` in the slot of an own term, not yet refitted.
+
+    ``free`` : how they are fitted, in place of what the model has there.
+    """
+    theta, active = base.theta.copy(), base.active.copy()
+    theta[slot_of(which)], active[which] = numbers, True
+    return remade(experiment, base, theta=theta, active=active, free=(
+        *(f for f in base.free if f.owner != ALL_NAMES[which]), *free))
+
+
 def entered(experiment: Experiment, base: Fit, which: int, guess: Guess, values: np.ndarray
             ) -> Fit:
     """Return a model with a table entered, not yet refitted; ``values`` (n,) SI."""
     form, slot = guess.table.form, slot_of(which)
-    theta, active = base.theta.copy(), base.active.copy()
-    theta[slot] = slot_for(guess.table.entry(values))
-    active[which] = True
     width = WIDE * max(float(np.sqrt(np.mean(guess.values**2))), 1e-30)
-    free = tuple(Free(knot_name(which, i), slot.start + VALUES + i, -1e3 * width, 1e3 * width,
-                      0.0, width) for i in range(len(values)))
+    free = [Free(knot_name(which, i), slot.start + VALUES + i, -1e3 * width, 1e3 * width,
+                 0.0, width) for i in range(len(values))]
     if form.times == "direction":
         fastest = max(experiment.ranges.speed, 1e-9)
-        free += (Free(f"{ALL_NAMES[which]}.scale", slot.start + SCALE, SHARPEST * fastest,
-                      fastest, float(np.log(guess.table.scale)), experiment.policy.shape, True),)
-    return remade(experiment, base, theta=theta, active=active, free=base.free + free)
+        free.append(Free(f"{ALL_NAMES[which]}.scale", slot.start + SCALE, SHARPEST * fastest,
+                         fastest, float(np.log(guess.table.scale)), experiment.policy.shape, True))
+    return with_own(experiment, base, which, slot_for(guess.table.entry(values)), free)
 
 
 def bases_of(experiment: Experiment, naming: Naming) -> list[Fit]:
@@ -357,11 +336,9 @@ def fitted(experiment: Experiment, start: Fit, which: int, guess: Guess, count: 
 
 def finer(experiment: Experiment, coarse: Learned, count: int) -> Learned:
     """Return a learned term with more values, fitted from where it stands."""
-    places = coarse.table.knots(count)
     guess = Guess(replace(coarse.table, scale=coarse.scale), coarse.evidence, coarse.values)
-    plain = replace(coarse.fit, free=tuple(
-        f for f in coarse.fit.free if f.owner != ALL_NAMES[coarse.which]))
-    start = entered(experiment, plain, coarse.which, guess, coarse.curve(places)[0])
+    start = entered(experiment, coarse.fit, coarse.which, guess,
+                    coarse.curve(coarse.table.knots(count))[0])
     return fitted(experiment, start, coarse.which, guess, count, coarse.without)
 
 

@@ -15,6 +15,7 @@ from eha_monitor.mismatch.learn.formula import (
     SHAPES,
     SHOWN,
     Formula,
+    constants_in,
     curve_of,
     formulas_of,
     in_signal,
@@ -29,9 +30,10 @@ from eha_monitor.mismatch.learn.learned import (
     learned_of,
     score_of,
     signal_along,
+    with_own,
 )
 from eha_monitor.mismatch.likelihood.along import contributed
-from eha_monitor.mismatch.likelihood.fit import Fit, Free, remade, spread
+from eha_monitor.mismatch.likelihood.fit import Fit, Free, spread
 from eha_monitor.mismatch.locate.terms import Missing, modelled_flow, modelled_force, needed
 from eha_monitor.mismatch.name.naming import Naming, beyond_form
 from eha_monitor.mismatch.name.refit import looked, settled
@@ -40,7 +42,7 @@ from eha_monitor.mismatch.show.model import robust
 from eha_monitor.physics import signals as s
 from eha_monitor.physics.contributions import ALL_NAMES, slot_of
 from eha_monitor.physics.effects import CATALOGUE
-from eha_monitor.physics.own_term import CONSTANTS, OF_UNITS, parsed
+from eha_monitor.physics.own_term import OF_UNITS, parsed
 from eha_monitor.quantity import quantity
 from eha_monitor.settings.hypothesis import Hypothesis
 from eha_monitor.settings.own_terms import slot_for
@@ -56,29 +58,18 @@ WHAT = {"force": "force", "flow": "flow between the chambers", "flow_1": "flow i
 
 @dataclass(frozen=True)
 class ValidatedTerm:
-    """A model with a term that no catalogue has, which holds on unseen data.
+    """A model with a term that no catalogue has, which holds on unseen data."""
 
-    Attributes
-    ----------
-    fit : the model that runs, with the formula where one is given; its names are ``fit.named``.
-    signals : errors on unseen data, of the nominal model and of this one.
-    missing : the term along the recording, measured and modelled.
-    gained : log units over the best model without it.
-    decides : it explains more than the form error of what was named can be.
-    entry : of a config's ``effects``; ``name`` of it there.
-    term : the record of a learned one; None where it is the user's own.
-    effect : the record of the user's own; None where it was learned.
-    """
-
+    # The model that runs, with the formula where one is given; its names are ``fit.named``
     fit: Fit
-    signals: dict[str, SignalFit]
-    missing: Missing
-    gained: float
-    decides: bool
-    entry: dict
-    name: str
-    term: LearnedTerm | None = None
-    effect: NamedEffect | None = None
+    signals: dict[str, SignalFit]  # errors on unseen data, of the nominal model and of this one
+    missing: Missing  # the term along the recording, measured and modelled
+    gained: float  # log units over the best model without it
+    decides: bool  # it explains more than the form error of what was named can be
+    entry: dict  # of a config's ``effects``
+    name: str  # of it there
+    term: LearnedTerm | None = None  # the record of a learned one
+    effect: NamedEffect | None = None  # the record of the user's own
 
 
 def validated_term(experiment: Experiment, unseen: Experiment, naming: Naming
@@ -235,22 +226,15 @@ SHARES = (0.15, 0.5, 0.85)  # of the way from bound to bound: where a parameter 
 
 @dataclass(frozen=True)
 class Tested:
-    """A hypothesis fitted to a recording.
-
-    Attributes
-    ----------
-    which : place of its own term; ``fit`` the model with it, ``without`` the best one without it.
-    gained : log units over that one, prior odds included; ``temper`` of them counts.
-    values : its parameters, SI.
-    """
+    """A hypothesis fitted to a recording."""
 
     hypothesis: Hypothesis
-    which: int
-    fit: Fit
-    without: Fit
-    gained: float
-    temper: float
-    values: dict[str, float]
+    which: int  # place of its own term
+    fit: Fit  # the model with it
+    without: Fit  # the best one without it
+    gained: float  # log units over that one, prior odds included
+    temper: float  # of them, how much counts
+    values: dict[str, float]  # its parameters, SI
 
     @property
     def probability(self) -> float:
@@ -276,10 +260,9 @@ def tested(experiment: Experiment, naming: Naming, hypothesis: Hypothesis) -> Te
                      lambda fit: score_of(experiment, fit), within=ties.SAME_FIT)
     best = alone(experiment, best)
     gained = score_of(experiment, best) + experiment.policy.effect - score_of(experiment, without)
-    start = slot_of(which).start + CONSTANTS
     return Tested(hypothesis, which, best, without, gained, experiment.policy.temper, {
-        key: float(best.theta[start + place])
-        for key, place in parsed(hypothesis.expression).parameters.items()})
+        key: float(best.theta[at])
+        for key, at in constants_in(which, hypothesis.expression).items()})
 
 
 def starts_of(hypothesis: Hypothesis) -> list[dict[str, float]]:
@@ -297,20 +280,15 @@ def starts_of(hypothesis: Hypothesis) -> list[dict[str, float]]:
 def entered(experiment: Experiment, base: Fit, which: int, hypothesis: Hypothesis,
             values: dict[str, float]) -> Fit:
     """Return a model with the hypothesis at some values of its parameters, not yet refitted."""
-    expression, slot = parsed(hypothesis.expression), slot_of(which)
-    theta, active = base.theta.copy(), base.active.copy()
-    theta[slot], active[which] = expression.slot(hypothesis.adds, values), True
-    free = list(base.free)
-    for key, place in expression.parameters.items():
+    free = []
+    for key, at in constants_in(which, hypothesis.expression).items():
         one = hypothesis.parameters[key]
-        at, name = slot.start + CONSTANTS + place, f"{ALL_NAMES[which]}.{key}"
-        if one.log:
-            free.append(Free(name, at, one.lower, one.upper, float(np.log(one.start)),
-                             0.5 * float(np.log(one.upper / one.lower)), True))
-        else:
-            free.append(Free(name, at, one.lower, one.upper, one.start,
-                             0.5 * (one.upper - one.lower)))
-    return remade(experiment, base, theta=theta, active=active, free=tuple(free))
+        prior, width = (float(np.log(one.start)), 0.5 * float(np.log(one.upper / one.lower))) \
+            if one.log else (one.start, 0.5 * (one.upper - one.lower))
+        free.append(Free(f"{ALL_NAMES[which]}.{key}", at, one.lower, one.upper, prior, width,
+                         one.log))
+    return with_own(experiment, base, which, parsed(hypothesis.expression).slot(
+        hypothesis.adds, values), free)
 
 
 def supported(experiment: Experiment, unseen: Experiment, naming: Naming, test: Tested

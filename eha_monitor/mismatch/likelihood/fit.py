@@ -18,6 +18,7 @@ from functools import lru_cache, partial
 
 import numpy as np
 
+from eha_monitor import ties
 from eha_monitor.estimation.sensors import true_position, true_pressure
 from eha_monitor.mismatch.data.experiment import Experiment
 from eha_monitor.mismatch.likelihood.gains import Unknowns, decay_of, gains_of
@@ -37,23 +38,15 @@ SINGULAR = 1e-12  # of a correlation: what rounding may make of it
 
 @dataclass(frozen=True)
 class Free:
-    """One fitted parameter.
+    """One fitted parameter."""
 
-    Attributes
-    ----------
-    name : ``B``, ``beta_e`` or ``<effect>.<parameter>``; ``place`` its place in theta.
-    lower, upper : bounds, SI.
-    prior, spread : Gaussian prior in the fitted coordinate.
-    log : fitted as its logarithm.
-    """
-
-    name: str
-    place: int
-    lower: float
+    name: str  # ``B``, ``beta_e``, ``rig.<key>`` or ``<effect>.<parameter>``
+    place: int  # in theta
+    lower: float  # bounds, SI
     upper: float
-    prior: float
+    prior: float  # Gaussian prior in the fitted coordinate
     spread: float
-    log: bool = False
+    log: bool = False  # fitted as its logarithm
 
     @property
     def owner(self) -> str:
@@ -88,31 +81,21 @@ class Free:
 
 @dataclass(frozen=True)
 class Fit:
-    """A fitted model; immutable.
+    """A fitted model; immutable."""
 
-    Attributes
-    ----------
-    theta, active : parameters of the equations and active effects.
-    free : what was fitted; ``covariance`` (k, k) in their coordinates.
-    unknowns : deviations of the unexplained force, flow and speed; ``gains`` of the filter.
-    e : (N, c) innovations of the counted samples, SI; ``s`` (c, c) their covariance.
-    log_likelihood : of the innovations plus the prior's exponent.
-    named : effects of the catalogue that the fit has, in the order in which they were found;
-        small timing errors that every record has are active but not named.
-    converged : False where the steps ran out.
-    """
-
-    theta: np.ndarray
-    active: np.ndarray
-    free: tuple[Free, ...]
-    unknowns: Unknowns
-    gains: np.ndarray
-    e: np.ndarray
-    s: np.ndarray
-    log_likelihood: float
-    covariance: np.ndarray
+    theta: np.ndarray  # parameters of the equations
+    active: np.ndarray  # effects that are active
+    free: tuple[Free, ...]  # what was fitted
+    unknowns: Unknowns  # deviations of the unexplained force, flow and speed
+    gains: np.ndarray  # of the filter
+    e: np.ndarray  # (N, c) innovations of the counted samples, SI
+    s: np.ndarray  # (c, c) their covariance
+    log_likelihood: float  # of the innovations plus the prior's exponent
+    covariance: np.ndarray  # (k, k) of what was fitted, in its coordinates
+    # Effects of the catalogue that the fit has, in the order in which they were found; small
+    # timing errors that every record has are active but not named
     named: tuple[str, ...] = ()
-    converged: bool = True
+    converged: bool = True  # False where the steps ran out
 
     def value(self, name: str) -> float:
         """Return a fitted parameter by name."""
@@ -123,6 +106,11 @@ class Fit:
         i = next(i for i, f in enumerate(self.free) if f.name == name)
         sigma = float(np.sqrt(max(self.covariance[i, i], 0.0)))
         return sigma * abs(self.value(name)) if self.free[i].log else sigma
+
+
+def likeliest(fits: Iterable[Fit], within: float = ties.GUESS) -> Fit:
+    """Return the likeliest of some fits, the first of those that are the same ``within``."""
+    return ties.best(fits, lambda fit: fit.log_likelihood, within=within)
 
 
 @lru_cache(maxsize=1)
@@ -144,11 +132,8 @@ def spread(function: Callable, items: Iterable) -> list:
 def innovations(experiment: Experiment, theta: np.ndarray, active: np.ndarray,
                 gains: np.ndarray) -> np.ndarray:
     """Return the innovations of the used channels at the counted samples, (N, c); NaN if none."""
-    parts = []
-    for stretch in experiment.stretches:
-        e = filtered(experiment, stretch, theta, active, gains)[0]
-        parts.append(e[stretch.counted])
-    return np.concatenate(parts)[:, experiment.columns]
+    return experiment.counted([filtered(experiment, stretch, theta, active, gains)[0]
+                               for stretch in experiment.stretches])[:, experiment.columns]
 
 
 def filtered(experiment: Experiment, stretch, theta, active, gains, states: bool = False,
@@ -293,10 +278,8 @@ def with_unknowns(experiment: Experiment, fit: Fit, unknowns: Unknowns | None = 
 
     Parameters that no filter can follow have a likelihood of zero.
 
-    Parameters
-    ----------
-    experiment : also another one than the fit was made on.
-    unknowns : without them the fit's own.
+    ``experiment`` : also another one than the fit was made on.
+    ``unknowns`` : without them the fit's own.
     """
     unknowns = unknowns or fit.unknowns
     try:

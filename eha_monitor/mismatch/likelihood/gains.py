@@ -65,20 +65,13 @@ def operating_point(experiment: Experiment) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Linear:
-    """The plant linearised in typical motion, as the filter's gains are computed from it.
+    """The plant linearised in typical motion, as the filter's gains are computed from it."""
 
-    Attributes
-    ----------
-    a : (N_FILTERED, N_FILTERED) over one sample; ``h`` (N_OUTPUTS, N_FILTERED).
-    q : (N_FILTERED,) variances of a sample's process noise; ``r`` (N_OUTPUTS,) of the sensors.
-    start : (N_FILTERED,) variances at the start of a stretch.
-    """
-
-    a: np.ndarray
-    h: np.ndarray
-    q: np.ndarray
-    r: np.ndarray
-    start: np.ndarray
+    a: np.ndarray  # (N_FILTERED, N_FILTERED) over one sample
+    h: np.ndarray  # (N_OUTPUTS, N_FILTERED)
+    q: np.ndarray  # (N_FILTERED,) variances of a sample's process noise
+    r: np.ndarray  # (N_OUTPUTS,) variances of the sensors
+    start: np.ndarray  # (N_FILTERED,) variances at the start of a stretch
 
 
 def linear_of(experiment: Experiment, theta: np.ndarray, active: np.ndarray,

@@ -32,39 +32,24 @@ Model = tuple[np.ndarray, np.ndarray]  # theta, active
 
 @dataclass(frozen=True)
 class Slope:
-    """A move of the model whose trace in the innovations is wanted.
+    """A move of the model whose trace in the innovations is wanted."""
 
-    Attributes
-    ----------
-    label : its name in a :class:`Gram`.
-    model : theta and active effects after the move; ``origin`` before it, None at the fit.
-    step : length of the move; the trace is divided by it.
-    weight : of the prior on it, per unit of the move squared.
-    """
-
-    label: str
-    model: Model
-    step: float = 1.0
-    weight: float = 0.0
-    origin: Model | None = None
+    label: str  # its name in a :class:`Gram`
+    model: Model  # theta and active effects after the move
+    step: float = 1.0  # length of the move; the trace is divided by it
+    weight: float = 0.0  # of the prior on it, per unit of the move squared
+    origin: Model | None = None  # before the move; None: at the fit
 
 
 @dataclass(frozen=True)
 class Gram:
-    """Products of whitened slopes, (m, m), over all samples and over some.
+    """Products of whitened slopes, (m, m), over all samples and over some."""
 
-    Attributes
-    ----------
-    labels : names of the rows.
-    whole : over all counted samples; ``part`` over plateaus, or away from reversals.
-    count : counted samples; ``count_part`` those of ``part``.
-    """
-
-    labels: tuple[str, ...]
-    whole: np.ndarray
-    part: np.ndarray
-    count: int
-    count_part: int
+    labels: tuple[str, ...]  # names of the rows
+    whole: np.ndarray  # over all counted samples
+    part: np.ndarray  # over plateaus, or away from reversals
+    count: int  # counted samples
+    count_part: int  # those of ``part``
 
     def __add__(self, other: "Gram") -> "Gram":
         """Return what two recordings tell together; their rows are the same."""
@@ -81,19 +66,15 @@ class Gram:
                   weights: dict[str, float], steady: bool = False) -> np.ndarray:
         """Return the products of ``wanted`` with the ``absorbing`` slopes projected out.
 
-        Parameters
-        ----------
-        weights : prior weights of the absorbing slopes; a prior limits what they absorb.
-        steady : over the part, not the whole.
+        ``weights`` : prior weights of the absorbing slopes; a prior limits what they absorb.
+        ``steady`` : over the part, not the whole.
         """
         g = self.part if steady else self.whole
         i, j = self.places(wanted), self.places(absorbing)
         if not j:
             return g[np.ix_(i, i)]
-        inner = g[np.ix_(j, j)] + np.diag([weights.get(label, 0.0) for label in absorbing])
-        scale = np.sqrt(np.maximum(np.diag(inner), 1e-300))
+        inner, scale = scaled(g[np.ix_(j, j)], absorbing, weights)
         cross = g[np.ix_(j, i)] / scale[:, None]
-        inner = inner / np.outer(scale, scale) + 1e-13 * np.eye(len(j))
         left = g[np.ix_(i, i)] - cross.T @ np.linalg.solve(inner, cross)
         return 0.5 * (left + left.T)
 
@@ -102,11 +83,17 @@ class Gram:
         """Return by how much each absorbing slope moves when ``moved`` is there and left out."""
         g = self.part if steady else self.whole
         (i,), j = self.places([moved]), self.places(absorbing)
-        inner = g[np.ix_(j, j)] + np.diag([weights.get(label, 0.0) for label in absorbing])
-        scale = np.sqrt(np.maximum(np.diag(inner), 1e-300))
-        inner = inner / np.outer(scale, scale) + 1e-13 * np.eye(len(j))
+        inner, scale = scaled(g[np.ix_(j, j)], absorbing, weights)
         found = np.linalg.solve(inner, g[j, i] / scale) / scale
         return dict(zip(absorbing, map(float, found), strict=True))
+
+
+def scaled(inner: np.ndarray, labels: Sequence[str], weights: dict[str, float]
+           ) -> tuple[np.ndarray, np.ndarray]:
+    """Return products of slopes and their priors in units of their roots, and these, (k,)."""
+    inner = inner + np.diag([weights.get(label, 0.0) for label in labels])
+    scale = np.sqrt(np.maximum(np.diag(inner), 1e-300))
+    return inner / np.outer(scale, scale) + 1e-13 * np.eye(len(scale)), scale
 
 
 def gain_of(squares: float, count: int) -> float:
@@ -119,10 +106,8 @@ def free_slopes(fit: Fit, model: Model | None = None, names: Sequence[str] = ())
 
     Those of a rival that stand at a bound are held there.
 
-    Parameters
-    ----------
-    model : where they are taken, where that is another than the fit.
-    names : labels that they get.
+    ``model`` : where they are taken, where that is another than the fit.
+    ``names`` : labels that they get.
     """
     theta, active = model or (fit.theta, fit.active)
     found = []
@@ -221,10 +206,8 @@ def steady(experiment: Experiment, fit: Fit) -> np.ndarray:
     found = [np.gradient(free_run(experiment, stretch, fit)[:, 0], experiment.dt)
              for stretch in experiment.stretches]  # speeds of the model, running free
     largest = max((float(np.quantile(np.abs(v), 0.99)) for v in found), default=0.0)
-    return np.concatenate([
-        (maximum_filter1d(v, span) - minimum_filter1d(v, span)
-         < STEADY_CHANGE * largest)[stretch.counted]
-        for v, stretch in zip(found, experiment.stretches, strict=True)])
+    return experiment.counted([maximum_filter1d(v, span) - minimum_filter1d(v, span)
+                               < STEADY_CHANGE * largest for v in found])
 
 
 def sliding(experiment: Experiment) -> np.ndarray:
@@ -232,5 +215,5 @@ def sliding(experiment: Experiment) -> np.ndarray:
     found = []
     for stretch in experiment.stretches:
         v = np.abs(np.gradient(stretch.z[:, 0], experiment.dt))  # planned: there is no noise on it
-        found.append((v > SLIDING * max(float(np.quantile(v, 0.99)), 1e-12))[stretch.counted])
-    return np.concatenate(found)
+        found.append(v > SLIDING * max(float(np.quantile(v, 0.99)), 1e-12))
+    return experiment.counted(found)

@@ -23,6 +23,7 @@ from eha_monitor.estimation.small_matrices import (
 )
 from eha_monitor.mismatch.data.inputs import CLOSED, FORCED
 from eha_monitor.physics import plant
+from eha_monitor.physics import signals as of
 from eha_monitor.physics.contributions import (
     N_EFFECTS,
     circuit_of,
@@ -30,19 +31,6 @@ from eha_monitor.physics.contributions import (
     with_place,
     with_term,
     with_update,
-)
-from eha_monitor.physics.signals import (
-    AREA_1,
-    AREA_2,
-    FEEDBACK_DELAY,
-    IN_LOOP,
-    MAX_MEMORY,
-    N_CONTRIBUTIONS,
-    N_SIGNALS,
-    PLAY,
-    POSITION_DELAY,
-    POSITION_SCALE,
-    M,
 )
 
 FREE = -1.0  # role of a sample that corrects nothing
@@ -88,7 +76,7 @@ class Correction(NamedTuple):
 @njit(forceinline=True)
 def known_to_drive(w):
     """Tell whether the recorded position tells what the drive reads: not from behind a play."""
-    return w[IN_LOOP] != 0.0 or w[PLAY] == 0.0
+    return w[of.IN_LOOP] != 0.0 or w[of.PLAY] == 0.0
 
 
 @njit
@@ -103,10 +91,10 @@ def read_by_drive(z, role, w, dt):
     heard = np.full(n, math.nan)
     if not known_to_drive(w):
         return heard
-    late = (w[FEEDBACK_DELAY] - w[POSITION_DELAY]) / dt  # behind the recording, or before it
+    late = (w[of.FEEDBACK_DELAY] - w[of.POSITION_DELAY]) / dt  # behind the recording, or before it
     whole = math.floor(late)
     rest = late - whole
-    scale = 1.0 if w[IN_LOOP] != 0.0 else 1.0 + w[POSITION_SCALE]
+    scale = 1.0 if w[of.IN_LOOP] != 0.0 else 1.0 + w[of.POSITION_SCALE]
     for k in range(n):
         at = k - whole
         before = at - 1 if rest > 0.0 else at
@@ -141,8 +129,8 @@ def innovate(record, step, theta, active, correction, actuator, e, states):
     given = plant.Given(u, 1, 0, mode == CLOSED, held,
                         read_by_drive(z, role, w, dt) if held and hears else plant.NOT_HEARD)
     terms, updates, places = with_term(active), with_update(active, theta), with_place(active)
-    equations = plant.Equations(theta, terms, updates, w, np.zeros(N_CONTRIBUTIONS),
-                          np.zeros(N_SIGNALS))
+    equations = plant.Equations(theta, terms, updates, w, np.zeros(of.N_CONTRIBUTIONS),
+                          np.zeros(of.N_SIGNALS))
     shown = np.zeros(plant.N_OUTPUTS)
     by_output = np.empty((gains.shape[0], plant.N_OUTPUTS, gains.shape[1]))
     for at in range(gains.shape[0]):  # a sensor's gains side by side
@@ -153,8 +141,8 @@ def innovate(record, step, theta, active, correction, actuator, e, states):
         t = k * dt
         if mode == FORCED:
             shown[0], shown[1] = y[plant.Y_X], y[plant.Y_V]
-            if w[PLAY] > 0.0:
-                shown[0] = plant.behind_play(shown[0], y[plant.Y_PLAYED], w[PLAY])
+            if w[of.PLAY] > 0.0:
+                shown[0] = plant.behind_play(shown[0], y[plant.Y_PLAYED], w[of.PLAY])
             shown[0] = plant.shown_position(shown[0], w)
             shown[2] = shown[3] = shown[4] = math.nan
         else:
@@ -175,7 +163,7 @@ def innovate(record, step, theta, active, correction, actuator, e, states):
             y[plant.Y_P1] += half
             y[plant.Y_P2] -= half
             # On the mean it entered in the middle of the sample, and has pushed since.
-            y[plant.Y_V] += 0.5 * dt * half * (theta[AREA_1] + theta[AREA_2]) / theta[M]
+            y[plant.Y_V] += 0.5 * dt * half * (theta[of.AREA_1] + theta[of.AREA_2]) / theta[of.M]
         if not math.isfinite(y[0]):
             e[k:] = 1e30
             return count
@@ -212,14 +200,14 @@ def transition(mode, held, hears, step, theta, active, decay, y, u, shifts):
     a, h = np.zeros((N_FILTERED, N_FILTERED)), np.zeros((plant.N_OUTPUTS, N_FILTERED))
     w = circuit_of(theta, active)
     equations = plant.Equations(theta, with_term(active), with_update(active, theta), w,
-                          np.zeros(N_CONTRIBUTIONS), np.zeros(N_SIGNALS))
+                          np.zeros(of.N_CONTRIBUTIONS), np.zeros(of.N_SIGNALS))
     # What the drive has read is known: an error of the state does not come into it.
     read = plant.seen_by_drive(y[plant.Y_X], y[plant.Y_X], w)
     heard = np.full(1, read if hears and known_to_drive(w) else math.nan)
     given, pressures = plant.Given(u, 1, 0, mode == CLOSED, held, heard), (y[2:3], y[3:4])
     shown = np.zeros((2, plant.N_OUTPUTS))
     ends = np.zeros((2, y.shape[0]))
-    actuator = plant.Actuator(y.copy(), np.zeros((N_EFFECTS, MAX_MEMORY)),
+    actuator = plant.Actuator(y.copy(), np.zeros((N_EFFECTS, of.MAX_MEMORY)),
                               np.zeros((plant.RING, 4)), np.zeros(1, dtype=np.int64))
     moved, memory, past, newest = actuator
     places = with_place(active)

@@ -76,10 +76,8 @@ def tangents(free: Sequence[Free], theta: np.ndarray, ways: Sequence[Mapping[int
 def consistent(slopes: np.ndarray, along: np.ndarray) -> np.ndarray:
     """Return slopes that are nil along invariant directions, with the least change of each.
 
-    Parameters
-    ----------
-    slopes : (k, n) of the whitened innovations.
-    along : (m, k) of :func:`tangents`.
+    ``slopes`` : (k, n) of the whitened innovations.
+    ``along`` : (m, k) of :func:`tangents`.
     """
     if not len(along):
         return slopes

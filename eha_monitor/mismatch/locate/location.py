@@ -53,22 +53,15 @@ CLOSE = 0.03  # of the best gain: rivals nearer than that share the blame
 
 @dataclass(frozen=True)
 class Rival:
-    """Something latent that may be behind the innovations: an unknown or a sensor's error.
+    """Something latent that may be behind the innovations: an unknown or a sensor's error."""
 
-    Attributes
-    ----------
-    name : what it is, e.g. ``force`` or ``sensor_p1``; ``balance`` whose share it counts to.
-    smallest : deviation at which it does not show, in its unit.
-    state : place of the unknown among the filter's states; -1 for what is none of them.
-    outputs : (sensor, weight): what it adds to the measured outputs.
-    inputs : (state, weight): what it adds to a state in a sample.
-    """
-
-    name: str
-    balance: str
-    smallest: float
-    state: int = -1
+    name: str  # what it is, e.g. ``force`` or ``sensor_p1``
+    balance: str  # whose share it counts to
+    smallest: float  # deviation at which it does not show, in its unit
+    state: int = -1  # place among the filter's states; -1: none of them
+    # (sensor, weight): what it adds to the measured outputs
     outputs: tuple[tuple[int, float], ...] = ()
+    # (state, weight): what it adds to a state in a sample
     inputs: tuple[tuple[int, float], ...] = ()
 
 
@@ -157,19 +150,13 @@ def rivals_of(experiment: Experiment, m: Linear) -> list[Rival]:
 
 @dataclass(frozen=True)
 class Base:
-    """A nominal model without unknowns, from which the rivals are judged.
+    """A nominal model without unknowns, from which the rivals are judged."""
 
-    Attributes
-    ----------
-    linear : its linearised plant; ``drive`` (m, N_FILTERED, N_OUTPUTS) A K of its filter.
-    e : for each stretch (n, N_OUTPUTS) its innovations.
-    slopes : for each base parameter, what a step of it adds to ``e``, and the step's prior
-        deviation in steps.
-    """
-
-    linear: Linear
-    drive: np.ndarray
-    e: list[np.ndarray]
+    linear: Linear  # its linearised plant
+    drive: np.ndarray  # (m, N_FILTERED, N_OUTPUTS) A K of its filter
+    e: list[np.ndarray]  # for each stretch (n, N_OUTPUTS) its innovations
+    # For each base parameter, what a step of it adds to ``e``, and the step's prior
+    # deviation in steps
     slopes: list[tuple[list[np.ndarray], float]]
 
 
@@ -202,12 +189,10 @@ def likelihood(experiment: Experiment, base: Base, rival: Rival, size: float, la
     columns = experiment.columns
 
     def passed(parts: list[np.ndarray]) -> np.ndarray:
-        kept = []
-        for e, stretch in zip(parts, experiment.stretches, strict=True):
-            out = np.full_like(e, np.nan)
+        kept = [np.full_like(e, np.nan) for e in parts]
+        for e, out in zip(parts, kept, strict=True):
             rival_innovations(e, columns, base.drive, a, h, gains, out)
-            kept.append(out[stretch.counted])
-        return np.concatenate(kept)[:, columns]
+        return experiment.counted(kept)[:, columns]
 
     e = passed(base.e)
     reached = log_likelihood_of(e)
@@ -247,9 +232,7 @@ def latent_gains(experiment: Experiment, fit: Fit) -> dict[str, tuple[Rival, flo
             if far and len(fits) == 1:
                 fits.append(replace(fit, theta=theta))
     bases = [base_of(experiment, one) for one in fits]
-    counted = np.concatenate([e[stretch.counted] for e, stretch in
-                              zip(bases[0].e, experiment.stretches, strict=True)])
-    nothing = log_likelihood_of(counted[:, experiment.columns])
+    nothing = log_likelihood_of(experiment.counted(bases[0].e)[:, experiment.columns])
     gains: dict[str, tuple[Rival, float]] = {}
     for base in bases:
         for rival, value in gains_from(experiment, base):
@@ -334,11 +317,9 @@ def location_of(experiment: Experiment, before: Fit, after: Fit,
                 named: Mapping[str, float], terms: Sequence[Missing] | None = None) -> Location:
     """Say where model and recording disagree.
 
-    Parameters
-    ----------
-    named : effect, ``rig.<key>`` or ``learned.<balance>`` -> log evidence; empty where nothing
+    ``named`` : effect, ``rig.<key>`` or ``learned.<balance>`` -> log evidence; empty where nothing
         explains the mismatch.  What the named effects leave behind counts beside them.
-    terms : :func:`missing_terms` of the named effects, where they are at hand.
+    ``terms`` : :func:`missing_terms` of the named effects, where they are at hand.
     """
     weights = dict.fromkeys(BALANCES, 0.0)
     for name, gain in named.items():

@@ -1,9 +1,11 @@
 """The missing term of each balance: what the record needs, and what the named effects make."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from eha_monitor.balances.least_squares import rms
 from eha_monitor.estimation.sensors import PRESSURE_ERRORS
 from eha_monitor.mismatch.data.experiment import Experiment, Stretch, smooth
 from eha_monitor.mismatch.likelihood.along import (
@@ -111,6 +113,19 @@ def modelled_speed(experiment: Experiment, base: Fit, fit: Fit, stretch: Stretch
     return made[0] - made[1]
 
 
+def made_by(experiment: Experiment, base: Fit, fit: Fit, balance: str, stretch: Stretch,
+            trajectory: np.ndarray, names: tuple[str, ...]) -> np.ndarray:
+    """Return the force, flow or shaft speed that some effects of ``fit`` make, SI (n,).
+
+    Of the drive what ``fit`` makes beyond ``base``, which is without them.
+    """
+    if balance == "force":
+        return modelled_force(experiment, fit, trajectory, names)
+    if balance == "flow":
+        return modelled_flow(experiment, fit, trajectory, names)
+    return modelled_speed(experiment, base, fit, stretch, trajectory)
+
+
 def erring_outputs(base: Fit, fit: Fit) -> tuple[int, ...]:
     """Return the outputs whose sensors err in ``fit`` and not in ``base``."""
     change = circuit_of(fit.theta, fit.active) != circuit_of(base.theta, base.active)
@@ -145,21 +160,13 @@ VISIBLE = 0.3  # of a sensor's noise: an error below needs no curve
 
 @dataclass(frozen=True)
 class Missing:
-    """A missing term along each stretch.
+    """A missing term along each stretch."""
 
-    Attributes
-    ----------
-    balance : whose term it is; ``unit`` its unit.
-    tracks : for each stretch (n, N_SIGNALS), the smoothed trajectory.
-    measured : for each stretch (n,), what the record needs; NaN where it does not say.
-    modelled : for each stretch (n,), what the named effects make; None where nothing is named.
-    """
-
-    balance: str
+    balance: str  # whose term it is
     unit: str
-    tracks: tuple[np.ndarray, ...]
-    measured: tuple[np.ndarray, ...]
-    modelled: tuple[np.ndarray, ...] | None = None
+    tracks: tuple[np.ndarray, ...]  # for each stretch (n, N_SIGNALS), the smoothed trajectory
+    measured: tuple[np.ndarray, ...]  # (n,) each, what the record needs; NaN where it does not say
+    modelled: tuple[np.ndarray, ...] | None = None  # (n,) each, what the named effects make
 
 
 def missing_terms(experiment: Experiment, before: Fit, after: Fit | None) -> list[Missing]:
@@ -185,13 +192,18 @@ def missing_terms(experiment: Experiment, before: Fit, after: Fit | None) -> lis
 
 
 def unexplained_terms(experiment: Experiment, fit: Fit) -> list[Missing]:
-    """Return the unknown force, flow and speed that a fit needs, smoothed."""
+    """Return the unknown force, flow and speed that a fit needs, those that are possible."""
+    small, large = (limit.as_array() for limit in limits_of(experiment))
+    return unknown_terms(experiment, fit, [
+        balance for balance, able in zip(UNITS, large > small, strict=True) if able])
+
+
+def unknown_terms(experiment: Experiment, fit: Fit, balances: Sequence[str]) -> list[Missing]:
+    """Return the unknowns of some balances that a fit needs, smoothed."""
     states = smoothed(experiment, fit)
     tracks = tracks_of(experiment, states)
-    small, large = (limit.as_array() for limit in limits_of(experiment))
     return [Missing(balance, UNITS[balance], tracks,
-                    tuple(one[:, STATES[balance]] for one in states))
-            for i, balance in enumerate(UNITS) if large[i] > small[i]]
+                    tuple(one[:, STATES[balance]] for one in states)) for balance in balances]
 
 
 def tracks_of(experiment: Experiment, states: list[np.ndarray]) -> tuple[np.ndarray, ...]:
@@ -215,9 +227,7 @@ def following(experiment: Experiment, base: Fit, balance: str) -> Fit:
 
 def needed(experiment: Experiment, base: Fit, balance: str) -> Missing:
     """Return the force, flow or speed that the record needs beside a model."""
-    states = smoothed(experiment, following(experiment, base, balance))
-    return Missing(balance, UNITS[balance], tracks_of(experiment, states),
-                   tuple(one[:, STATES[balance]] for one in states))
+    return unknown_terms(experiment, following(experiment, base, balance), [balance])[0]
 
 
 def balance_term(experiment: Experiment, base: Fit, after: Fit, balance: str,
@@ -225,18 +235,14 @@ def balance_term(experiment: Experiment, base: Fit, after: Fit, balance: str,
     """Return a missing force, flow or speed."""
     lacking = needed(experiment, base, balance)
     tracks, measured = lacking.tracks, lacking.measured
-    if balance == "force":
-        modelled = tuple(modelled_force(experiment, after, track, names) for track in tracks)
-    elif balance == "drive":
-        modelled = tuple(modelled_speed(experiment, base, after, stretch, track)
-                         for stretch, track in zip(experiment.stretches, tracks, strict=True))
-    else:
-        modelled = tuple(modelled_flow(experiment, after, track, names) for track in tracks)
+    modelled = tuple(made_by(experiment, base, after, balance, stretch, track, names)
+                     for stretch, track in zip(experiment.stretches, tracks, strict=True))
+    if balance == "flow" and experiment.used[2] and experiment.used[3]:
         shown = tuple(as_measured(stretch, track)
                       for stretch, track in zip(experiment.stretches, tracks, strict=True))
         both = tuple(modelled_flow(experiment, after, track, names, common=True)
                      for track in shown)
-        if experiment.used[2] and experiment.used[3] and rms(both) > rms(modelled):
+        if rms(np.concatenate(both)) > rms(np.concatenate(modelled)):
             # Lost to outside or swallowed by both chambers: no flow across shows that.
             modelled, tracks = both, shown
             measured = tuple(balance_flow(experiment, base, stretch, track)
@@ -257,20 +263,14 @@ def as_measured(stretch: Stretch, track: np.ndarray) -> np.ndarray:
     return other
 
 
-def rms(parts: tuple[np.ndarray, ...]) -> float:
-    """Return the root mean square over all stretches."""
-    return float(np.sqrt(np.mean(np.concatenate(parts) ** 2)))
-
-
 def sensor_terms(experiment: Experiment, base: Fit, after: Fit, balance: str) -> list[Missing]:
     """Return what sensors show beyond what all others imply, and what their model says."""
     outputs = [output for output in erring_outputs(base, after) if experiment.used[output]]
     if not outputs:
         return []
-    tracks = tracks_of(experiment, smoothed(experiment, with_unknowns(
-        experiment, after, after.unknowns)))
+    tracks = tracks_of(experiment, smoothed(experiment, with_unknowns(experiment, after)))
     outputs = [output for output in outputs
-               if rms(tuple(modelled_error(after, track, output) for track in tracks))
+               if rms(np.concatenate([modelled_error(after, track, output) for track in tracks]))
                > VISIBLE * experiment.noise[output]]
     return sensor_errors(experiment, base, balance, outputs, after)
 

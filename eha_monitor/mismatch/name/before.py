@@ -105,16 +105,11 @@ def best_of(experiment: Experiment, which: int, angles: np.ndarray) -> float:
 
 @dataclass(frozen=True)
 class FirstView:
-    """What the balances name.
+    """What the balances name."""
 
-    Attributes
-    ----------
-    effects : name -> parameters, SI, as in the config's section.
-    damping : B beside them, N s/m (N m s/rad); None where they do not say.
-    """
-
+    # Name -> parameters, SI, as in the config's section
     effects: Mapping[str, Mapping[str, float]]
-    damping: float | None = None
+    damping: float | None = None  # B beside them, N s/m (N m s/rad); None where they do not say
 
     def entered(self, experiment: Experiment, fit: Fit) -> Fit | None:
         """Return a nominal model with these effects in it, not refitted; None where it has none.

@@ -20,22 +20,13 @@ FORCE_KEYS, DRIVE_KEYS = ("mass", "area_1", "area_2"), ("position_gain",)
 
 @dataclass(frozen=True)
 class Candidate:
-    """Something that a model may lack, one member of a set.
+    """Something that a model may lack, one member of a set."""
 
-    Attributes
-    ----------
-    name : effect, ``rig.<key>``, or the name of an unknown function.
-    balance : where it acts; "" of an unknown function.
-    effect : its entry in the catalogue; None of all others.
-    key : of the number of the rig; "" of all others.
-    equals : the candidate that is the same equation, or "".
-    """
-
-    name: str
-    balance: str = ""
-    effect: Effect | None = None
-    key: str = ""
-    equals: str = ""
+    name: str  # effect, ``rig.<key>``, or the name of an unknown function
+    balance: str = ""  # where it acts; "" of an unknown function
+    effect: Effect | None = None  # its entry in the catalogue; None of all others
+    key: str = ""  # of the number of the rig; "" of all others
+    equals: str = ""  # the candidate that is the same equation, or ""
 
     @property
     def named(self) -> bool:

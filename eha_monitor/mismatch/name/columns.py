@@ -31,6 +31,7 @@ from eha_monitor.mismatch.name.candidates import RIG, candidate
 from eha_monitor.mismatch.name.gram import carried, injected
 from eha_monitor.mismatch.name.starts import (
     Start,
+    continuing,
     directions_of,
     free_parameter,
     own_sizes,
@@ -56,46 +57,28 @@ REPLACING = 100  # variants from here on grow out of an effect that the model ha
 
 @dataclass(frozen=True)
 class Column:
-    """One number that may differ from the model at hand.
+    """One number that may differ from the model at hand."""
 
-    Attributes
-    ----------
-    owner : effect, unnamed term, ``rig.<key>``, or ``ALWAYS``.
-    variant : which of the owner's starts; -1 where the model has it.
-    name : of the number, as in :class:`Free`.
-    centre : prior mean less the present value, in prior deviations.
-    lower, upper : bounds of the amplitude.
-    free : how it is fitted; None for unnamed terms.
-    start : of the effect that it brings in.
-    size : it is a size: without it its effect is absent.
-    step : how far a wrong number of the rig moves with an amplitude of 1, of its logarithm.
-    """
-
-    owner: str
-    variant: int
-    name: str
-    centre: float = 0.0
-    lower: float = -np.inf
+    owner: str  # effect, unnamed term, ``rig.<key>``, or ``ALWAYS``
+    variant: int  # which of the owner's starts; -1 where the model has it
+    name: str  # of the number, as in :class:`Free`
+    centre: float = 0.0  # prior mean less the present value, in prior deviations
+    lower: float = -np.inf  # bounds of the amplitude
     upper: float = np.inf
-    free: Free | None = None
-    start: Start | None = None
-    size: bool = False
+    free: Free | None = None  # how it is fitted; None for unnamed terms
+    start: Start | None = None  # of the effect that it brings in
+    size: bool = False  # it is a size: without it its effect is absent
+    # Of its logarithm: how far a wrong number of the rig moves with an amplitude of 1
     step: float = 0.0
 
 
 @dataclass(frozen=True)
 class Columns:
-    """All columns at a fit.
+    """All columns at a fit."""
 
-    Attributes
-    ----------
-    what : (m - 1 + k,) whose they are.
-    values : for each stretch (n, c, m), innovations first.
-    copies : (k,) (place, factor) of columns that are others times a factor.
-    """
-
-    what: tuple[Column, ...]
-    values: list[np.ndarray]
+    what: tuple[Column, ...]  # (m - 1 + k,) whose they are
+    values: list[np.ndarray]  # for each stretch (n, c, m), innovations first
+    # (k,) (place, factor) of columns that are others times a factor
     copies: tuple[tuple[int, float], ...] = ()
 
 
@@ -107,17 +90,11 @@ ACTING = 0.4  # of its largest: a load that comes and goes is there
 
 @dataclass(frozen=True)
 class Unnamed:
-    """A smooth unknown function.
+    """A smooth unknown function."""
 
-    Attributes
-    ----------
-    name : e.g. ``force of x``; ``balance`` it acts in: ``force``, ``flow`` across, ``flow_1`` and
-        ``flow_2`` into one chamber, ``drive``.
-    basis : for each stretch (n, k) hat functions times the signal that it scales.
-    """
-
-    name: str
-    balance: str
+    name: str  # e.g. ``force of x``
+    balance: str  # ``force``, ``flow`` across, ``flow_1``, ``flow_2`` into one chamber, ``drive``
+    # For each stretch (n, k) hat functions times the signal that it scales
     basis: tuple[np.ndarray, ...]
 
 
@@ -291,10 +268,8 @@ def columns_at(experiment: Experiment, fit: Fit, unnamed: bool = True, suspects:
                terms: Sequence[Unnamed] | None = None) -> Columns:
     """Return innovations and columns at a fit, under its gains.
 
-    Parameters
-    ----------
-    unnamed : also unknown functions: ``terms``, or those of :func:`unnamed_of`.
-    suspects : also the effects that the model does not have.
+    ``unnamed`` : also unknown functions: ``terms``, or those of :func:`unnamed_of`.
+    ``suspects`` : also the effects that the model does not have.
     """
     present = runs_of(experiment, fit.theta, fit.active, fit.gains)
     what: list[Column] = []
@@ -397,13 +372,8 @@ def grown_from(experiment: Experiment, fit: Fit) -> list[Start]:
         for other in NAMES:
             if other in fit.named or not family & {other, *CATALOGUE[other].contains}:
                 continue
-            bounds = {p.name: p for p in CATALOGUE[other].parameters}
-            for start in starts_of(other, experiment):
-                values = dict(start.values)
-                for key, now in effect_values(fit.theta, name).items():
-                    if key in values and bounds[key].lower <= now <= bounds[key].upper:
-                        values[key] = now
-                found.append(replace(start, values=tuple(values.items()), replaces=name))
+            found += [replace(continuing(start, effect_values(fit.theta, name)), replaces=name)
+                      for start in starts_of(other, experiment)]
     return found
 
 

@@ -9,11 +9,11 @@ from scipy.special import chdtri, erfc
 from eha_monitor import ties
 from eha_monitor.mismatch.data.experiment import Experiment
 from eha_monitor.mismatch.diagnosis import Gate
-from eha_monitor.mismatch.likelihood.fit import Fit, spread, with_unknowns
+from eha_monitor.mismatch.likelihood.fit import Fit, likeliest, spread, with_unknowns
 from eha_monitor.mismatch.name.candidates import candidate
 from eha_monitor.mismatch.name.columns import rig_free
 from eha_monitor.mismatch.name.gates import ends_of_tolerance, failures, shaped, shapes_at_bound
-from eha_monitor.mismatch.name.nominal import likelier, with_rig
+from eha_monitor.mismatch.name.nominal import with_rig
 from eha_monitor.mismatch.name.posterior import Names, Refits, form_error, plainness
 from eha_monitor.mismatch.name.refit import at_level, settled, wide
 from eha_monitor.mismatch.name.starts import (
@@ -69,9 +69,8 @@ def simplified(experiment: Experiment, fit: Fit, name: str, other: str) -> Fit:
     start = sharing(start, {key: value for key, value in has.items()
                             if abs(value) >= abs(least.get(key, 0.0))})
     bare, sizes = without_effect(experiment, fit, name), len(CATALOGUE[other].sizes)
-    return ties.best(
-        [with_unknowns(experiment, with_effect(bare, start, (times,) * sizes), fit.unknowns)
-         for times in LADDER], lambda one: one.log_likelihood, within=ties.GUESS)
+    return likeliest(with_unknowns(experiment, with_effect(bare, start, (times,) * sizes),
+                                   fit.unknowns) for times in LADDER)
 
 
 def lesser(experiment: Experiment, fit: Fit, name: str) -> Fit:
@@ -95,7 +94,7 @@ def lesser(experiment: Experiment, fit: Fit, name: str) -> Fit:
             free=tuple(own if f.name == name else f for f in fit.free)))
 
     here, along = at_level(experiment, bare(fit.theta)), bare(without_along(fit, name))
-    return ties.best((here, along), lambda one: one.log_likelihood, within=ties.SAME_FIT)
+    return likeliest((here, along), ties.SAME_FIT)
 
 
 def traded(experiment: Experiment, fit: Fit, name: str) -> Fit | None:
@@ -172,7 +171,7 @@ def plainer_of(refits: Refits, names: Names) -> Fit | None:
     found = [refits.fits[some] for name in sorted(names & CATALOGUE.keys())
              for other in CATALOGUE[name].contains
              if (some := names - {name} | {other}) in refits.fits]
-    return ties.best(found, lambda fit: fit.log_likelihood, within=ties.GUESS) if found else None
+    return likeliest(found) if found else None
 
 
 WITHIN_REACH, FINALISTS = 20.0, 3  # log units; sets that are fitted to the end
@@ -317,7 +316,7 @@ def finish(experiment: Experiment, refits: Refits) -> None:
             return whole
         other = settled(experiment, with_unknowns(experiment, other, level),
                         worth=max(worth, whole.log_likelihood - WITHIN_REACH))
-        return likelier(whole, other)
+        return likeliest((whole, other))
 
     for names, fit in zip(near, spread(ended, near), strict=True):
         refits.add(experiment, names, fit)

@@ -10,7 +10,7 @@ curve   three laws of friction, or of a leak, make one curve that none of them i
 A set that fails is no answer.  The same set without the failing member is fitted in its place,
 and what the evidence then still holds for the refused set, beyond the form error of the answer's
 laws, counts as unexplained.  Whether a member with a threshold is there a refit says
-(:func:`select.not_needed`).
+(:func:`finalists.not_needed`).
 """
 
 from collections.abc import Callable, Iterator

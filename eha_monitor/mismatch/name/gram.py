@@ -32,20 +32,12 @@ BLOCK = 1024  # samples whose products are taken at once
 
 @dataclass(frozen=True)
 class Gram:
-    """Products of whitened columns at one level of the unknowns.
+    """Products of whitened columns at one level of the unknowns."""
 
-    Attributes
-    ----------
-    unknowns : the level.
-    products : (m, m) Gram matrix of the whitened columns, innovations first.
-    counts : (c,) samples in each channel.
-    logdet : sum over the samples of log det S / 2 that the filter expects.
-    """
-
-    unknowns: Unknowns
-    products: np.ndarray
-    counts: np.ndarray
-    logdet: float
+    unknowns: Unknowns  # the level
+    products: np.ndarray  # (m, m) Gram matrix of the whitened columns, innovations first
+    counts: np.ndarray  # (c,) samples in each channel
+    logdet: float  # sum over the samples of log det S / 2 that the filter expects
 
 
 class Regained(NamedTuple):

@@ -14,9 +14,16 @@ from eha_monitor.mismatch.name.candidates import RIG, all_named, candidate
 from eha_monitor.mismatch.name.columns import loads_of, runs_of
 from eha_monitor.mismatch.name.gram import evidences_at
 from eha_monitor.mismatch.name.nominal import lack_of, lacks
-from eha_monitor.mismatch.name.posterior import Names, plainness, posterior, refused_evidence
+from eha_monitor.mismatch.name.posterior import (
+    Names,
+    Refits,
+    plainness,
+    posterior,
+    refused_evidence,
+)
+from eha_monitor.mismatch.name.proposals import Linearised
 from eha_monitor.mismatch.name.refit import settled
-from eha_monitor.mismatch.name.select import Search, Selection, finished
+from eha_monitor.mismatch.name.select import Search, finished
 from eha_monitor.mismatch.name.starts import limits_of
 from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.progress import Report, silent
@@ -24,40 +31,32 @@ from eha_monitor.progress import Report, silent
 
 @dataclass(frozen=True)
 class Naming:
-    """What was named.
+    """What was named."""
 
-    Attributes
-    ----------
-    experiment : with integration steps that resolve the damping that was found.
-    before, after : nominal model with B and beta_e fitted; the model with what is named.
-    wrong : numbers of the rig that ``after`` calls wrong, ``mass`` and so on.
-    probability : effect, ``rig.<key>`` -> probability that it, or what looks like it here,
-        is there, and that nothing without a name is missing beside it.
-    claims : the same names -> probability that something is there in its place, be it one of many.
-    consistent, unexplained : probabilities of these answers.
-    evidence : effect, ``rig.<key>`` -> log units that the model loses without it.
-    rivals : effect, ``rig.<key>`` -> names that this record cannot tell from it.
-    tried : set -> its model and the log units by which it is behind, best first.
-    loads : when a load without a name of its own acts, (from s, to s, N); ``intermittent_load``.
-    gates : checks that a set with more evidence, or a member of one, did not pass.
-    weights : set -> probability that it is all that is there, and nothing without a name.
-    pieces : of the recordings, between which a parameter changed; empty where none did.
-    """
-
-    experiment: Experiment
-    before: Fit
-    after: Fit
+    experiment: Experiment  # with integration steps that resolve the damping that was found
+    before: Fit  # nominal model with B and beta_e fitted
+    after: Fit  # the model with what is named
+    # Numbers of the rig that ``after`` calls wrong, ``mass`` and so on
     wrong: tuple[str, ...] = ()
+    # Effect, ``rig.<key>`` -> probability that it, or what looks like it here, is there, and
+    # that nothing without a name is missing beside it
     probability: dict[str, float] = field(default_factory=dict)
-    consistent: float = np.nan
+    consistent: float = np.nan  # probabilities of these answers
     unexplained: float = np.nan
+    # Effect, ``rig.<key>`` -> log units that the model loses without it
     evidence: dict[str, float] = field(default_factory=dict)
+    # Effect, ``rig.<key>`` -> names that this record cannot tell from it
     rivals: dict[str, tuple[str, ...]] = field(default_factory=dict)
+    # Set -> its model and the log units by which it is behind, best first
     tried: tuple[tuple[Names, Fit, float], ...] = ()
+    # When a load without a name of its own acts, (from s, to s, N); ``intermittent_load``
     loads: tuple[tuple[float, float, float], ...] = ()
+    # Checks that a set with more evidence, or a member of one, did not pass
     gates: tuple[Gate, ...] = ()
+    # Set -> probability that it is all that is there, and nothing without a name
     weights: dict[Names, float] = field(default_factory=dict)
-    pieces: tuple[Piece, ...] = ()
+    pieces: tuple[Piece, ...] = ()  # of the recordings, between which a parameter changed
+    # Names as of ``probability`` -> that something is there in its place, be it one of many
     claims: dict[str, float] = field(default_factory=dict)
 
 
@@ -128,17 +127,18 @@ def name_effects(search: Search, report: Report | None = None) -> Naming:
         If the search may end so.
     """
     say = report or silent
-    found = finished(search, say)
+    views = finished(search, say)
     say("fitting the nominal model to the end", 0.9)
-    before = settled(found.experiment, found.nominal)
-    return naming_of(found.experiment, found, before)
+    return naming_of(search.experiment, search.refits, views,
+                     settled(search.experiment, search.bare))
 
 
-def naming_of(experiment: Experiment, found: Selection, before: Fit) -> Naming:
-    """Return names and probabilities of a selection."""
-    refits, best = found.refits, found.refits.best()
+def naming_of(experiment: Experiment, refits: Refits,
+              views: tuple[Linearised | None, Linearised], before: Fit) -> Naming:
+    """Return names and probabilities of a search; ``views`` as :func:`finished` returns them."""
+    best, beside = refits.best(), views[1]
     weights = posterior(refits, [
-        (view.here, view.ranking) for view in (found.view, found.beside) if view is not None])
+        (view.here, view.ranking) for view in views if view is not None])
     scores = refits.scores()
     after = refits.fits[best]
     gates = tuple(gate for failed in refits.refused.values() for gate in failed)
@@ -171,12 +171,12 @@ def naming_of(experiment: Experiment, found: Selection, before: Fit) -> Naming:
     acting = float(sum(weight for names, weight in weights.items() if INTERMITTENT in names))
     needs = after.unknowns
     if acting > experiment.policy.likely:  # a load that comes and goes has a name, and intervals
-        one = next(one for one in found.beside.ranking if INTERMITTENT in one.names)
+        one = next(one for one in beside.ranking if INTERMITTENT in one.names)
         loads = loads_of(experiment, np.array([
             value for place, value in sorted(one.amplitudes.items())
-            if found.beside.what[place].owner == INTERMITTENT]))
+            if beside.what[place].owner == INTERMITTENT]))
         probability[INTERMITTENT], rivals[INTERMITTENT] = acting, ()
-        own = found.beside.own
+        own = beside.own
         evidence[INTERMITTENT] = max(one.evidence - own.evidence, 0.0) if own else np.inf
         unnamed, needs = unnamed - acting, one.gram.unknowns
     beyond = beyond_form(experiment, before, after, needs)

@@ -4,13 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from eha_monitor import ties
 from eha_monitor.mismatch.data.experiment import JAGGED, SMOOTH, Experiment, resolving
 from eha_monitor.mismatch.data.inputs import FORCED
 from eha_monitor.mismatch.likelihood.along import filtered_tracks
 from eha_monitor.mismatch.likelihood.fit import (
     Fit,
     innovations,
+    likeliest,
     remade,
     sensitivities,
     step_of,
@@ -59,7 +59,7 @@ def needing_least(experiment: Experiment, first: Fit) -> Fit:
     found = settled(experiment, first)
     if not np.isfinite(bare.log_likelihood):
         return found
-    return likelier(found, settled(experiment, at_level(experiment, bare)))
+    return likeliest((found, settled(experiment, at_level(experiment, bare))))
 
 
 def from_config(experiment: Experiment) -> Fit:
@@ -73,11 +73,6 @@ def from_config(experiment: Experiment) -> Fit:
     if not np.isfinite(bare.log_likelihood):
         return bare
     return with_unknowns(experiment, settled(experiment, at_level(experiment, bare)))
-
-
-def likelier(fit: Fit, other: Fit) -> Fit:
-    """Return the likelier of two fits of one set, the first where they are the same fit."""
-    return ties.best((fit, other), lambda one: one.log_likelihood, within=ties.GUESS)
 
 
 def lacks(experiment: Experiment, fit: Fit) -> bool:

@@ -22,29 +22,24 @@ STRAYED = 5.0  # log units: a fit that is that far from its optimum is made agai
 
 @dataclass
 class Refits:
-    """Every set that was refitted.
+    """Every set that was refitted."""
 
-    Attributes
-    ----------
-    policy : what evidence counts.
-    fits, evidence, left : names -> model, Laplace evidence, cost of its unknowns, log units.
-    stations : names -> model and evidence of what cannot be (no damping, no stiffness), or does
-        next to nothing.  It is no answer, but what it lacks may be what makes it possible: the
-        search goes on from there.
-    tried : (model, set) that was refitted from a linearisation at that model, whatever came of it.
-    dropped : names -> model of a first look that others were ahead of then.
-    refused : names -> gates that the set does not pass: it is no answer, whatever its evidence.
-    parted : names -> model from which the set without each of its members was fitted.
-    """
-
-    policy: SearchPolicy
-    fits: dict[Names, Fit] = field(default_factory=dict)
+    policy: SearchPolicy  # what evidence counts
+    fits: dict[Names, Fit] = field(default_factory=dict)  # names -> model
+    # Names -> Laplace evidence, log units
     evidence: dict[Names, float] = field(default_factory=dict)
-    left: dict[Names, float] = field(default_factory=dict)
+    left: dict[Names, float] = field(default_factory=dict)  # names -> cost of its unknowns
+    # Names -> model and evidence of what cannot be (no damping, no stiffness), or does next
+    # to nothing. It is no answer, but what it lacks may be what makes it possible: the
+    # search goes on from there
     stations: dict[Names, tuple[Fit, float]] = field(default_factory=dict)
+    # (model, set) that was refitted from a linearisation at that model, whatever came of it
     tried: set[tuple[Names, Names]] = field(default_factory=set)
+    # Names -> model of a first look that others were ahead of then
     dropped: dict[Names, Fit] = field(default_factory=dict)
+    # Names -> gates that the set does not pass: it is no answer, whatever its evidence
     refused: dict[Names, tuple[Gate, ...]] = field(default_factory=dict)
+    # Names -> model from which the set without each of its members was fitted
     parted: dict[Names, Fit] = field(default_factory=dict)
 
     def add(self, experiment: Experiment, names: Names, fit: Fit, anyway: bool = False) -> None:
@@ -135,15 +130,15 @@ class Refits:
                   if names not in self.refused}
         return ties.best(scores, scores.get, plainness, self.policy.temper * ties.SAME_FIT)
 
-    def ahead(self, done: dict[Names, float], enough: float) -> tuple[Names, Fit] | None:
+    def ahead(self, done: dict[Names, float]) -> tuple[Names, Fit] | None:
         """Return the model where the search goes on; None where it has been everywhere.
 
         That is the set with the highest evidence that no gate has refused, if it counts for
         something more than those that were linearised before; and at last the one with the highest
         score.
 
-        ``done`` : names -> evidence with which a model was linearised before; one that has gained
-            ``enough`` since is linearised again.
+        ``done`` : names -> evidence with which a model was linearised before; one that has
+            gained ``STRAYED`` since is linearised again.
         """
         best = self.best()
         known = {names: (self.fits[names], value) for names, value in self.evidence.items()
@@ -156,7 +151,7 @@ class Refits:
         went = max((value for names, value in done.items() if names not in self.refused),
                    default=-np.inf)
         for names, (fit, value) in ((highest, every[highest]), (best, known[best])):
-            if value > done.get(names, -np.inf) + enough and (
+            if value > done.get(names, -np.inf) + STRAYED and (
                     names == best or self.pursued(value, went)):
                 return names, fit
         return None
@@ -196,10 +191,8 @@ def posterior(refits: Refits, views: Sequence[tuple[Names, Sequence[Ranked]]],
     Sets by the linear guess are those of a linearisation, measured from the model there.  What
     has names and seems better than that model was refitted, or is beyond what the guess can say.
 
-    Parameters
-    ----------
-    views : models that were linearised, each with the sets as they are ranked there.
-    promising : also of what seems better and was never refitted.
+    ``views`` : models that were linearised, each with the sets as they are ranked there.
+    ``promising`` : also of what seems better and was never refitted.
     """
     scores = refits.scores()
     for names, value in refused_evidence(refits).items():

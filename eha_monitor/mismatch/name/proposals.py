@@ -47,21 +47,14 @@ def levels_of(experiment: Experiment, fit: Fit) -> list[Unknowns]:
 
 @dataclass
 class Linearised:
-    """The innovations linearised at one model, with every set ranked there.
+    """The innovations linearised at one model, with every set ranked there."""
 
-    Attributes
-    ----------
-    here : names of the model; ``fit`` the model itself.
-    what : whose the columns are; ``slopes`` of what the model has, under any gains.
-    levels : ranked sets at each level of the unknowns; ``ranking`` at the best of all levels.
-    """
-
-    here: frozenset[str]
-    fit: Fit
-    what: tuple[Column, ...]
-    slopes: Slopes
-    levels: list[list[Ranked]]
-    ranking: list[Ranked]
+    here: frozenset[str]  # names of the model
+    fit: Fit  # the model itself
+    what: tuple[Column, ...]  # whose the columns are
+    slopes: Slopes  # of what the model has, under any gains
+    levels: list[list[Ranked]]  # ranked sets at each level of the unknowns
+    ranking: list[Ranked]  # at the best of all levels
 
     @property
     def own(self) -> Ranked | None:

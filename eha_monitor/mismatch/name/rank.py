@@ -45,20 +45,13 @@ class Member(NamedTuple):
 
 @dataclass(frozen=True)
 class Ranked:
-    """A set with its evidence, by the linear guess.
+    """A set with its evidence, by the linear guess."""
 
-    Attributes
-    ----------
-    members : sorted.
-    evidence : log units, ``prior`` odds included; comparable at one linearisation.
-    gram : of the level that suits it best.
-    amplitudes : column's place (in ``what``) -> amplitude.
-    """
-
-    members: tuple[Member, ...]
-    evidence: float
+    members: tuple[Member, ...]  # sorted
+    evidence: float  # log units, ``prior`` odds included; comparable at one linearisation
     prior: float
-    gram: Gram = field(repr=False, compare=False)
+    gram: Gram = field(repr=False, compare=False)  # of the level that suits it best
+    # Column's place (in ``what``) -> amplitude
     amplitudes: dict[int, float] = field(repr=False, compare=False)
 
     @property
@@ -191,21 +184,13 @@ class Ranking:
 
 @dataclass(frozen=True)
 class Reduced:
-    """Products with what every model has taken out; its rows and columns are r, then ``what``.
+    """Products with what every model has taken out; its rows and columns are r, then ``what``."""
 
-    Attributes
-    ----------
-    products : (1 + m, 1 + m) of what is left.
-    back : (a, 1 + m) amplitudes of what every model has, per unit of each.
-    free : (a,) places of these; ``fixed`` place -> amplitude of those that are held.
-    logdet : sum of the logarithms of the factor's diagonal.
-    """
-
-    products: np.ndarray
-    back: np.ndarray
-    free: np.ndarray
-    fixed: tuple[tuple[int, float], ...]
-    logdet: float
+    products: np.ndarray  # (1 + m, 1 + m) of what is left
+    back: np.ndarray  # (a, 1 + m) amplitudes of what every model has, per unit of each
+    free: np.ndarray  # (a,) places of these
+    fixed: tuple[tuple[int, float], ...]  # (place, amplitude) of those that are held
+    logdet: float  # sum of the logarithms of the factor's diagonal
 
 
 class Level:

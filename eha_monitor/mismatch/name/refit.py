@@ -12,6 +12,7 @@ from eha_monitor.mismatch.likelihood.fit import (
     Free,
     covariance_of,
     innovations,
+    likeliest,
     log_likelihood_of,
     prior_exponent,
     remade,
@@ -114,8 +115,7 @@ class Slopes:
         places = [self.places[f.name] for f in wanted]
         parts = under(self.experiment, self.fit, [
             np.ascontiguousarray(part[:, :, places]) for part in self.values], fit.gains)
-        whole = np.concatenate([part[stretch.counted] for part, stretch in zip(
-            parts, self.experiment.stretches, strict=True)])
+        whole = self.experiment.counted(parts)
         usable = np.abs(whole).max(axis=(0, 1)) < LARGEST  # nor is NaN
         return {f.name: whole[:, :, i] / self.spreads[self.places[f.name]]
                 for i, f in enumerate(wanted) if usable[i]}
@@ -303,7 +303,7 @@ def at_level(experiment: Experiment, fit: Fit, limits: tuple[Unknowns, Unknowns]
             fit.unknowns.as_array(), small, rtol=1e-9):
         # The map knows no memory (a line that rings): whether nothing is unknown says a run.
         least = with_unknowns(experiment, fit, Unknowns(*small))
-        return ties.best((fit, least), lambda one: one.log_likelihood, within=ties.SAME_FIT)
+        return likeliest((fit, least), ties.SAME_FIT)
     return fit
 
 

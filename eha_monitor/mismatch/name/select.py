@@ -7,7 +7,7 @@ import numpy as np
 
 from eha_monitor import ties
 from eha_monitor.mismatch.data.experiment import Experiment
-from eha_monitor.mismatch.likelihood.fit import Fit, spread, with_unknowns
+from eha_monitor.mismatch.likelihood.fit import Fit, likeliest, spread, with_unknowns
 from eha_monitor.mismatch.name.before import FirstView, informative
 from eha_monitor.mismatch.name.columns import FAR_OFF, LOOSE, columns_at, rig_free
 from eha_monitor.mismatch.name.finalists import (
@@ -25,7 +25,6 @@ from eha_monitor.mismatch.name.nominal import (
     lack_of,
     lacks,
     leans_less,
-    likelier,
     needing_least,
     nominal_model,
     resolved_nominal,
@@ -71,41 +70,17 @@ class Unfollowed(Exception):
 
 
 @dataclass(frozen=True)
-class Selection:
-    """What the joint selection found.
-
-    Attributes
-    ----------
-    experiment : with integration steps that resolve the damping that was found.
-    nominal, refits : the model without effects; every refitted set.
-    view : sets with names by the linear guess from the best model, if the search came there;
-        ``beside`` what has no name, beside parts of the best.
-    """
-
-    experiment: Experiment
-    nominal: Fit
-    refits: Refits
-    view: Linearised | None
-    beside: Linearised
-
-
-@dataclass(frozen=True)
 class Manner:
-    """What a search is told of the recording.
+    """What a search is told of the recording."""
 
-    Attributes
-    ----------
-    view : what least squares name: a set that is fitted from their numbers where all that was
-        found lacks something.
-    may_end : ends by :class:`Unfollowed` where no law follows.
-    close : the config's own model closes every balance: what has a name shows from there, and a
-        round that gains nothing is the last.  A filter then sees the form of a law.
-    elsewhere : asked once where no law follows: is a fit better off under another input?
-    """
-
+    # What least squares name: a set that is fitted from their numbers where all that was
+    # found lacks something
     view: FirstView | None = None
-    may_end: bool = False
+    may_end: bool = False  # ends by :class:`Unfollowed` where no law follows
+    # The config's own model closes every balance: what has a name shows from there, and a
+    # round that gains nothing is the last. A filter then sees the form of a law
     close: bool = False
+    # Asked once where no law follows: is a fit better off under another input?
     elsewhere: Elsewhere | None = None
 
 
@@ -114,47 +89,32 @@ PLAINLY = Manner()
 
 @dataclass
 class Search:
-    """A search for the best set.
+    """A search for the best set."""
 
-    Attributes
-    ----------
-    experiment, nominal : the samples that it is made on, and the nominal model fitted to them.
-    refits : every refitted set.
-    manner : what it is told; ``sketch`` it is made on some of the samples, to begin with, and
-        nothing is fitted to the end.
-    bare : the nominal model with nothing of the rig free.
-    widely : also from other places of the nominal model; else from what a sketch has found.
-    views : names -> linearisation at a refitted model.
-    done : names -> evidence with which a model was linearised.
-    ended : what is best was fitted to the end, or need not be; ``far`` the last of the other
-        places was tried, ``viewed`` what least squares name, ``asked`` whether to go elsewhere.
-    lack : what the best model lacked after the round before, log units a sample.
-    vain : the balances are closed, and no set has begun to explain what a filter lacks.
-    """
-
-    experiment: Experiment
-    nominal: Fit
-    refits: Refits
-    manner: Manner = PLAINLY
+    experiment: Experiment  # the samples that it is made on
+    nominal: Fit  # model fitted to them
+    manner: Manner = PLAINLY  # what it is told
+    # It is made on some of the samples, to begin with, and nothing is fitted to the end
     sketch: bool = False
-    bare: Fit | None = None
+    bare: Fit | None = None  # the nominal model with nothing of the rig free
+    refits: Refits = field(init=False)  # every refitted set
+    # Also from other places of the nominal model; else from what a sketch has found
     widely: bool = True
+    # Names -> linearisation at a refitted model
     views: dict[Names, Linearised] = field(default_factory=dict)
+    # Names -> evidence with which a model was linearised
     done: dict[Names, float] = field(default_factory=dict)
-    ended: bool = False
-    far: bool = False
-    viewed: bool = False
-    asked: bool = False
-    lack: float = np.inf
+    ended: bool = False  # what is best was fitted to the end, or need not be
+    far: bool = False  # the last of the other places was tried
+    viewed: bool = False  # what least squares name was looked at
+    asked: bool = False  # whether to go elsewhere
+    lack: float = np.inf  # what the best model lacked after the round before, log units a sample
+    # The balances are closed, and no set has begun to explain what a filter lacks
     vain: bool = False
 
-    @classmethod
-    def at(cls, experiment: Experiment, nominal: Fit, manner: Manner = PLAINLY,
-           sketch: bool = False, bare: Fit | None = None) -> "Search":
-        """Return a search at its beginning."""
-        refits = Refits(experiment.policy)
-        refits.add(experiment, frozenset(), nominal)
-        return cls(experiment, nominal, refits, manner, sketch, bare, ended=sketch)
+    def __post_init__(self):
+        self.refits, self.ended = Refits(self.experiment.policy), self.sketch
+        self.refits.add(self.experiment, frozenset(), self.nominal)
 
     def leave(self) -> None:
         """Ask once, where the best model lacks a log unit a sample, whether to go elsewhere.
@@ -212,22 +172,21 @@ def refit(experiment: Experiment, view: Linearised, chosen: list[Ranked], refits
         return entered_at_best(experiment, view.fit, view.what, one)
 
     def quick(one: Ranked) -> Fit:
-        made = ties.best([looked(experiment, entered(each), view.slopes)
-                          for each in from_each_start(view.what, one)],
-                         lambda fit: fit.log_likelihood, within=ties.GUESS)
+        made = likeliest(looked(experiment, entered(each), view.slopes)
+                         for each in from_each_start(view.what, one))
         if not np.isfinite(made.log_likelihood) or made.unknowns == view.fit.unknowns:
             return made
         # The guess is ranked by the innovations that a filter expects, the fit by those it has: a
         # model is not judged under unknowns that suit it less than those it came from.
-        return likelier(made, with_unknowns(experiment, made, view.fit.unknowns))
+        return likeliest((made, with_unknowns(experiment, made, view.fit.unknowns)))
 
     own = view.own
     if own is not None and not view.here and chosen[0].evidence < own.evidence + CLOSE:
         # With the same numbers of the rig free as in its rivals: else their evidence differs.
         made = settled(experiment, entered(own), view.slopes)
         if made.log_likelihood < view.fit.log_likelihood:  # the guess has led away
-            made = likelier(made, settled(experiment, joined(
-                experiment, view.fit, view.what, own, 0.0), view.slopes))
+            made = likeliest((made, settled(experiment, joined(
+                experiment, view.fit, view.what, own, 0.0), view.slopes)))
         refits.add(experiment, view.here, made, True)
     refits.tried.update((view.here, one.names) for one in chosen)
     looks = [made for made in spread(quick, chosen) if np.isfinite(made.log_likelihood)]
@@ -270,9 +229,9 @@ def begun(experiment: Experiment, say: Report = silent, manner: Manner = PLAINLY
         first = needing_least(experiment, first)
     start = settled(experiment, with_rig(experiment, first))
     if not near:
-        start = likelier(nominal_model(experiment, within=True), start)
-    start = likelier(start, from_config(experiment))
-    search = Search.at(experiment, start, manner, bare=first)
+        start = likeliest((nominal_model(experiment, within=True), start))
+    start = likeliest((start, from_config(experiment)))
+    search = Search(experiment, start, manner, bare=first)
     if not search.refits.evidence:
         raise np.linalg.LinAlgError("the nominal model's evidence is singular")
     search.going_on_from(known)
@@ -281,7 +240,7 @@ def begun(experiment: Experiment, say: Report = silent, manner: Manner = PLAINLY
     sketch = sketch_of(experiment, start) if search.widely and not known else None
     if sketch is not None:
         say("searching a third of the samples", 0.1)
-        found = explored(Search.at(sketch, with_unknowns(sketch, start), manner, sketch=True), say)
+        found = explored(Search(sketch, with_unknowns(sketch, start), manner, sketch=True), say)
         if manner.may_end and lack_of(sketch, found.found) > experiment.policy.lacking:
             raise Unfollowed
         caught_up(sketch, found.refits)
@@ -293,8 +252,13 @@ def begun(experiment: Experiment, say: Report = silent, manner: Manner = PLAINLY
     return search
 
 
-def finished(search: Search, say: Report = silent) -> Selection:
-    """Return what a search ends with: what hid behind a set that is no answer is sought as well.
+def finished(search: Search, say: Report = silent) -> tuple[Linearised | None, Linearised]:
+    """Make a search to its end: what hid behind a set that is no answer is sought as well.
+
+    Returns
+    -------
+    view : sets with names by the linear guess from the best model, if the search came there.
+    beside : what has no name, beside parts of the best.
 
     Raises
     ------
@@ -307,8 +271,7 @@ def finished(search: Search, say: Report = silent) -> Selection:
         gated(experiment, explored(search, say).refits)
     best = refits.best()
     say("weighing effects not in the catalogue", 0.85)
-    return Selection(experiment, search.bare, refits, search.views.get(best),
-                     beside(experiment, best, refits.fits[best]))
+    return search.views.get(best), beside(experiment, best, refits.fits[best])
 
 
 def sketch_of(experiment: Experiment, start: Fit) -> Experiment | None:
@@ -351,7 +314,7 @@ def explored(search: Search, say: Report) -> Search:
                 break
             refit(experiment, view, chosen, refits)
             search.leave()
-            if refits.ahead(done, STRAYED) is not None:
+            if refits.ahead(done) is not None:
                 break
     return search
 
@@ -381,14 +344,14 @@ def next_place(search: Search, turn: int) -> tuple[Names, Fit] | None:
             raise Unfollowed
         search.far, search.lack = True, np.inf
         return frozenset(), other
-    at = search.refits.ahead(search.done, STRAYED)
+    at = search.refits.ahead(search.done)
     if at is None and not search.viewed:
         search.look_at_first_view()
-        at = search.refits.ahead(search.done, STRAYED)
+        at = search.refits.ahead(search.done)
     if at is None and not search.ended:
         finish(experiment, search.refits)
         search.ended = True
-        at = search.refits.ahead(search.done, STRAYED)
+        at = search.refits.ahead(search.done)
     wider = search.widely and not search.manner.close
     other = unbent(search) if turn == 1 and wider else None
     if other is None and at is None and wider and not search.far:
@@ -427,5 +390,5 @@ def far_off(search: Search) -> Fit | None:
             theta = experiment.theta.copy()
             theta[f.place] *= np.exp(step)
             found.append(with_unknowns(experiment, replace(first, theta=theta), first.unknowns))
-    best = ties.best(found or [first], lambda fit: fit.log_likelihood, within=ties.GUESS)
+    best = likeliest(found or [first])
     return best if best.log_likelihood > first.log_likelihood else None

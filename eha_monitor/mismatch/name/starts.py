@@ -1,5 +1,6 @@
 """What every model fits and within which limits; where effects enter it, and are taken out."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -21,23 +22,15 @@ LARGEST = 3e4  # times the smallest unknowns; 1e4 times is what the record cover
 
 @dataclass(frozen=True)
 class Start:
-    """One way in which an effect might enter a model.
-
-    Attributes
-    ----------
-    values : all parameters of the effect, a small but visible instance.
-    replaces : named effect that it contains and takes the place of, or "".
-    among : how many starts the effect has.
-    policy : how wide its numbers' priors are.
-    step : of the integration, s: what lasts less is not resolved.
-    """
+    """One way in which an effect might enter a model."""
 
     effect: str
+    # All parameters of the effect, a small but visible instance
     values: tuple[tuple[str, float], ...]
-    replaces: str = ""
-    among: int = 1
-    policy: SearchPolicy = POLICY
-    step: float = 0.0
+    replaces: str = ""  # named effect that it contains and takes the place of, or ""
+    among: int = 1  # how many starts the effect has
+    policy: SearchPolicy = POLICY  # how wide its numbers' priors are
+    step: float = 0.0  # of the integration, s: what lasts less is not resolved
 
 
 def base_free(experiment: Experiment) -> tuple[Free, ...]:
@@ -214,6 +207,14 @@ def sharing(start: Start, shared: dict[str, float]) -> Start:
     bounds = {p.name: p for p in CATALOGUE[start.effect].parameters}
     return replace(start, values=tuple(
         (key, min(max(shared[key], bounds[key].lower), bounds[key].upper) if key in shared
+         else value) for key, value in start.values))
+
+
+def continuing(start: Start, held: Mapping[str, float]) -> Start:
+    """Return a start with another effect's numbers where it has them and they are in bounds."""
+    bounds = {p.name: p for p in CATALOGUE[start.effect].parameters}
+    return replace(start, values=tuple(
+        (key, held[key] if key in held and bounds[key].lower <= held[key] <= bounds[key].upper
          else value) for key, value in start.values))
 
 

@@ -38,10 +38,8 @@ def changed_between(recordings: list[Recording], naming: Naming) -> Naming | Non
     Its pieces are in order of time; neighbours of one recording differ in B or beta_e.  Data and
     model are those of the last piece, beside the nominal model of all data.
 
-    Parameters
-    ----------
-    recordings : at least one, compared by a filter, not by balances.
-    naming : the best model of constant parameters.
+    ``recordings`` : at least one, compared by a filter, not by balances.
+    ``naming`` : the best model of constant parameters.
     """
     experiment, named, policy = naming.experiment, naming.after, naming.experiment.policy
     parts = parts_of(experiment, recordings)

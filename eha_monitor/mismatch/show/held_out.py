@@ -36,15 +36,10 @@ FEWEST = 500  # samples in a part whose parameters are fitted
 
 @dataclass(frozen=True)
 class FreeRuns:
-    """A model let go on unseen data.
+    """A model let go on unseen data."""
 
-    Attributes
-    ----------
-    windows : (stretch, first, last + 1) in samples.
-    e : for each stretch (n, N_OUTPUTS) measured less predicted, NaN outside the windows.
-    """
-
-    windows: tuple[tuple[int, int, int], ...]
+    windows: tuple[tuple[int, int, int], ...]  # (stretch, first, last + 1) in samples
+    # For each stretch (n, N_OUTPUTS) measured less predicted, NaN outside the windows
     e: tuple[np.ndarray, ...]
 
     def residual(self, output: int) -> np.ndarray:
@@ -262,10 +257,8 @@ def baseline_residual(experiment: Experiment, of: Mapping[str, Baseline], after:
 def force_left(experiment: Experiment, fit: Fit, modelled: Callable) -> tuple[float, float]:
     """Return rms of what a model leaves of the force on held-out samples, and of the force, N.
 
-    Parameters
-    ----------
-    fit : whose sensors and areas the measured force and motion are taken from.
-    modelled : (stretch, x, v, a) -> (n,) N.
+    ``fit`` : whose sensors and areas the measured force and motion are taken from.
+    ``modelled`` : (stretch, x, v, a) -> (n,) N.
     """
     dt = experiment.dt
     residuals, forces = [], []
@@ -335,7 +328,7 @@ def parts_of(experiment: Experiment, tracks: list[np.ndarray]
     found = []
     for values, low, high in ((speeds, "slow half", "fast half"),
                               (loads, "small pressure differences", "large pressure differences")):
-        whole = np.concatenate([v[c] for v, c in zip(values, counted, strict=True)])
+        whole = experiment.counted(values)
         if not len(whole) or np.ptp(whole) == 0:
             continue
         middle = np.median(whole)

@@ -25,12 +25,7 @@ from eha_monitor.mismatch.data.experiment import (
 )
 from eha_monitor.mismatch.data.inputs import CLOSED, OPEN
 from eha_monitor.mismatch.likelihood.fit import Fit, filtered, spread
-from eha_monitor.mismatch.locate.terms import (
-    modelled_flow,
-    modelled_force,
-    modelled_speed,
-    unexplained_terms,
-)
+from eha_monitor.mismatch.locate.terms import made_by, unexplained_terms
 from eha_monitor.mismatch.name.nominal import nominal
 from eha_monitor.physics.contributions import ALL_NAMES
 from eha_monitor.physics.parameters import theta_of
@@ -42,34 +37,22 @@ from eha_monitor.settings.monitor import Settings
 WINDOW = 0.5  # s that the model runs free before it starts again from the filter's state
 
 
-@dataclass(frozen=True)
-class Lack:
-    """What a balance lacks without the named physics, SI (n,) each; NaN where unknown.
-
-    ``needed`` by the recording, ``explained`` by the named effects, ``remaining`` without a name.
-    """
-
-    needed: np.ndarray
-    explained: np.ndarray
-    remaining: np.ndarray
+# What a balance lacks without the named physics, SI (n,) each, NaN where unknown: in all, of that
+# by the named effects, and without a name.
+PARTS = ("needed", "explained", "remaining")
+Lack = dict[str, np.ndarray]
 
 
 @dataclass(frozen=True)
 class Series:
-    """Signals of a stretch of a recording.
+    """Signals of a stretch of a recording."""
 
-    Attributes
-    ----------
-    source : name of the recording;  start, dt : s.
-    measured, modelled : channel -> (n,) SI;  of the model what it shows running free.
-    lacks : balance (``force`` N, ``flow`` m³/s, ``drive`` rad/s) -> what it lacks.
-    """
-
-    source: str
-    start: float
-    dt: float
-    measured: dict[str, np.ndarray]
-    modelled: dict[str, np.ndarray]
+    source: str  # name of the recording
+    start: float  # s
+    dt: float  # s
+    measured: dict[str, np.ndarray]  # channel -> (n,) SI
+    modelled: dict[str, np.ndarray]  # the same of the model, running free
+    # Balance (``force`` N, ``flow`` m³/s, ``drive`` rad/s) -> what it lacks
     lacks: dict[str, Lack]
 
 
@@ -134,15 +117,9 @@ def _unknowns(experiment: Experiment, bare: Fit, fit: Fit, names: tuple[str, ...
     """Return what the filter's unknown force, flow and speed and the named effects make."""
     found: dict[str, list[Lack]] = {}
     for term in unexplained_terms(experiment, fit):
-        made = []
-        for stretch, track in zip(experiment.stretches, term.tracks, strict=True):
-            if term.balance == "force":
-                made.append(modelled_force(experiment, fit, track, names))
-            elif term.balance == "flow":
-                made.append(modelled_flow(experiment, fit, track, names))
-            else:
-                made.append(modelled_speed(experiment, bare, fit, stretch, track))
-        found[term.balance] = [Lack(left + one, one, left)
+        made = [made_by(experiment, bare, fit, term.balance, stretch, track, names)
+                for stretch, track in zip(experiment.stretches, term.tracks, strict=True)]
+        found[term.balance] = [dict(zip(PARTS, (left + one, one, left), strict=True))
                                for left, one in zip(term.measured, made, strict=True)]
     return found
 
@@ -167,9 +144,9 @@ def _of_balances(recordings: Sequence[Recording], before: Settings, after: Setti
             explained = full.known - bare.known
             at = np.arange(len(left)) * full.dt
             gone = np.interp(time, at, (~full.good).astype(float)) > 0.01
-            rows = [np.where(gone, np.nan, np.interp(time, at, one)) for one in (
-                left + explained, explained, left)]
-            lacks[balance] = Lack(*rows)
+            lacks[balance] = {part: np.where(gone, np.nan, np.interp(time, at, one))
+                              for part, one in zip(PARTS, (
+                                  left + explained, explained, left), strict=True)}
         measured = {name: recording.channels[name] for name in (
             *OUTPUTS, "x_d", "omega_d", "force") if recording.has(name)}
         found.append(Series(recording.source, 0.0, recording.sample_time, measured, {}, lacks))
@@ -177,7 +154,6 @@ def _of_balances(recordings: Sequence[Recording], before: Settings, after: Setti
 
 
 FLOAT = "std_msgs/msg/Float64"
-PARTS = ("needed", "explained", "remaining")
 BETWEEN_NS = 1_000_000_000  # between recordings whose times overlap
 LITTLE_ENDIAN = bytes([0, 1, 0, 0])  # head of a serialised message
 
@@ -225,8 +201,7 @@ def _streams(one: Series, begin: int, namespace: str) -> list[MessageStream]:
         if channels:
             found += messages_of(channels, stamps, f"{namespace}/{part}")
     for balance, lack in one.lacks.items():
-        for part in PARTS:
-            values = getattr(lack, part)
+        for part, values in lack.items():
             there = np.isfinite(values)
             found.append(MessageStream(f"/{namespace.strip('/')}/missing/{balance}/{part}".replace(
                 "//", "/"), FLOAT, stamps[there], _floats(values[there])))
