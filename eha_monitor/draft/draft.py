@@ -16,6 +16,7 @@ from eha_monitor.draft.rig import (
     number,
     open_choices,
     rig_entries,
+    scalar,
     seen_in,
     tolerances,
     too_short,
@@ -72,7 +73,7 @@ def draft_text(source: Source, found: Map, told: Lines, checks: list[str]) -> st
         lines += ["monitor:", _line(f"  namespace: {space}", "all topics of the bag are in it")]
     lines += ["channels:"] if source.bag else ["table:"]
     if not source.bag:
-        lines += [_line(f"  {key}: {_scalar(value)}", "values: how the file is laid out")
+        lines += [_line(f"  {key}: {scalar(value)}", "values: how the file is laid out")
                   for key, value in source.table.items()]
         lines += _time(found.time)
         readable = not all(guess.full for guess in found.channels.values())
@@ -112,7 +113,7 @@ def _line(text: str, why: str, ask: bool = False) -> str:
 def _time(time: Guess | None) -> list[str]:
     if time is None:
         return [f"  # {ASK}: no column of the time was found; rows follow at rig.sample_time"]
-    column = _scalar(time.candidate.place["column"])
+    column = scalar(time.candidate.place["column"])
     lines = [_line(f"  time: {column}", time.why)]
     if time.unit:
         why = "header" if time.sure else "guessed from values"
@@ -121,20 +122,12 @@ def _time(time: Guess | None) -> list[str]:
 
 
 def _channel(name: str, guess: Guess, margin: str) -> str:
-    parts = [f"{key}: {_scalar(value)}" for key, value in guess.candidate.place.items()]
-    parts += [f"unit: {_scalar(guess.unit)}"] if guess.unit else []
+    parts = [f"{key}: {scalar(value)}" for key, value in guess.candidate.place.items()]
+    parts += [f"unit: {scalar(guess.unit)}"] if guess.unit else []
     parts += [f"{key}: {number(value)}" for key, value, usual in (
         ("scale", guess.scale, 1.0), ("offset", guess.offset, 0.0), ("delay", guess.delay, 0.0))
         if value != usual]
     return _line(f"{margin}{name}: {{{', '.join(parts)}}}", guess.why)
-
-
-def _scalar(value: str | int) -> str:
-    if isinstance(value, int):
-        return str(value)
-    return value if value.isidentifier() and value.casefold() not in (
-        "y", "n", "yes", "no", "on", "off", "true", "false", "null") else dumps(
-        value, ensure_ascii=False)
 
 
 ROUNDS = 4  # a swap may hide a unit, and that a sign

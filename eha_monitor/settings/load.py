@@ -175,17 +175,22 @@ def _from_ros(parameters: dict) -> dict:
     """
     tree: dict = {}
     for key, value in parameters.items():
-        *path, last = str(key).split(".")
-        if (*path, last)[0] in ROS_OWN:
+        path = str(key).split(".")
+        if path[0] in ROS_OWN:
             continue
         if isinstance(value, dict):
             value = _from_ros(value)
         elif isinstance(value, float) and math.isnan(value):
             value = None
-        for part in reversed((*path, last)):
-            value = {part: value}
-        merge(tree, value)
+        merge(tree, nested(path, value))
     return tree
+
+
+def nested(path: list[str], value: Any) -> dict:
+    """Return a tree in which a value stands at a path of at least one key."""
+    for part in reversed(path):
+        value = {part: value}
+    return value
 
 
 def _one_line(model: type[BaseModel], problem: ValidationError) -> str:
@@ -227,7 +232,7 @@ def _section_at(model, location: tuple):
 _WIDTH = 99
 _BOUNDS = (("gt", ">"), ("ge", ">="), ("lt", "<"), ("le", "<="))
 _UNSET = "# "
-_YAML11_BOOLEANS = ("y", "n", "yes", "no", "on", "off", "true", "false")
+YAML11_BOOLEANS = ("y", "n", "yes", "no", "on", "off", "true", "false")
 _HEAD = """\
 A config of eha_monitor.  Every key may be left out; its default is the value shown.
 A number is in the SI unit named beside it, or a string with a unit: mass: "20 kg".
@@ -385,7 +390,7 @@ def scalar(value: Any) -> str:
         return f"[{', '.join(scalar(item) for item in value)}]"
     if isinstance(value, str):
         plain = value.replace("_", "a").replace("/", "a").isalnum()
-        plain = plain and not value.startswith("/") and value.lower() not in _YAML11_BOOLEANS
+        plain = plain and not value.startswith("/") and value.lower() not in YAML11_BOOLEANS
         return value if plain else f'"{value}"'
     return str(value)
 
