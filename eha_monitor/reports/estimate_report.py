@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from eha_monitor.estimation.results import Estimate, JointResult, ParameterEstimate
-from eha_monitor.health.alarms import BALANCES, NO_LIMIT, WATCHED, Alarm
+from eha_monitor.health.alarms import BALANCES, NO_LIMIT, SECTIONS, Alarm
 from eha_monitor.indicators.indicator import Indicator
 from eha_monitor.quantity import FLOOR, ROTARY, SYMBOLS, number, quantity, share
 from eha_monitor.recordings.recording import Recording
@@ -36,7 +36,6 @@ if TYPE_CHECKING:
 
 STATUS_WORDS = {"converged": "converged", "not_excited": "not excited by this motion",
                 "diverged": "diverged", "no_data": "no data"}
-_SECTIONS = {watched.symbol: watched.section for watched in WATCHED}
 # Alarm -> what is wrong, and where to look first.
 _ALARMS = {
     "viscous_damping_high": ("the viscous damping B is too high", LOOK_FOR["B", True]),
@@ -113,21 +112,23 @@ def _head(raised: list[Alarm], model: str, known: bool, open_questions: bool) ->
     return "ok", "Healthy"
 
 
+def _limited(alarms: tuple[Alarm, ...], name: str) -> list[Alarm]:
+    """Return the alarms of a parameter that have a limit."""
+    return [a for a in alarms if a.name.startswith(SECTIONS[name]) and a.message != NO_LIMIT]
+
+
 def _values(known: list[ParameterEstimate], alarms: tuple[Alarm, ...]) -> str:
     """Return the values that no alarm complains about, and whether one could have."""
-    def of(parameter: ParameterEstimate) -> list[Alarm]:
-        return [a for a in alarms if a.name.startswith(_SECTIONS[parameter.name])
-                and a.message != NO_LIMIT]
-
     def shown(some: list[ParameterEstimate]) -> str:
         return " and ".join(f"{SYMBOLS[p.name]} = {p.shown}" for p in some)
 
-    doubtful = [p for p in known if any(a.not_judged for a in of(p))]
+    doubtful = [p for p in known if any(a.not_judged for a in _limited(alarms, p.name))]
     sure = [p for p in known if p not in doubtful]
     parts = []
     if sure:
+        limited = all(_limited(alarms, p.name) for p in sure)
         parts.append(shown(sure) + (f" {'is' if len(sure) == 1 else 'are'} within the limits"
-                                    if all(map(of, sure)) else ", without configured limits"))
+                                    if limited else ", without configured limits"))
     if doubtful:
         parts.append(f"{shown(doubtful)} {'is' if len(doubtful) == 1 else 'are'} not judged")
     return "; ".join(parts)
@@ -156,9 +157,7 @@ def next_steps(estimate: Estimate, alarms: tuple[Alarm, ...]) -> tuple[str, ...]
             steps.append(_STEPS[p.status].format(
                 name=PARAMETER_WORDS[p.name], symbol=SYMBOLS[p.name], bag=bag + own,
                 message=p.message.rstrip(".") or "its channels are missing"))
-    judged = {p.name for p in estimate.parameters.values() for a in alarms
-              if a.name.startswith(_SECTIONS[p.name]) and a.message != NO_LIMIT}
-    if without := [SYMBOLS[name] for name in estimate.parameters if name not in judged]:
+    if without := [SYMBOLS[name] for name in estimate.parameters if not _limited(alarms, name)]:
         steps.append(f"set limits for {listed(without)}: `eha-monitor thresholds` derives them "
                      "from healthy recordings")
     return tuple(map(sentence, steps)) or ("Nothing.",)
@@ -212,8 +211,7 @@ def _first_screen(estimate: Estimate, alarms: tuple[Alarm, ...]) -> FirstScreen:
     thresholds = estimate.settings.thresholds
     limits = {"B": thresholds.viscous_damping, "beta_e": thresholds.bulk_modulus}
     # One curve, which a phone can show: of the raised alarm, else of what converged.
-    raised = [watched.symbol for watched in WATCHED for a in alarms
-              if a.word in ("WARN", "ERROR") and a.name.startswith(watched.section)]
+    raised = [name for name in SECTIONS if any(a.raised for a in _limited(alarms, name))]
     order = [*raised, *(p.name for p in estimate.parameters.values()
                         if p.status == "converged"), *estimate.parameters]
     pictures = (figures.parameter_figure(estimate, (name,), _HERO) for name in order)

@@ -181,6 +181,11 @@ class LateTrigger:
         for header in taken:
             self._send(Trigger.Response(success=success, message=message), header)
 
+    def end(self, success: bool, message: str) -> None:
+        """Answer every request that waits."""
+        self.take_up()
+        self.answer(success, message)
+
     def _on_request(self, request, response):
         refused = self._begin()
         if refused is None:

@@ -35,6 +35,7 @@ from eha_monitor.settings.load import (
     ROS_PARAMETERS,
     check_units,
     merge,
+    nested,
     ros_sections,
     tree_of,
 )
@@ -184,15 +185,8 @@ def overridden(settings: Settings, changes: dict[str, Any], source: str,
                 raise InputError(f"{source}: {name}: {part} has no keys of its own")
             place = inner
         place[last] = value
-        check_units(_below(path, last, value), source)
+        check_units(nested([*path, last], value), source)
     return settings_from_tree(tree, source)
-
-
-def _below(path: list[str], last: str, value: Any) -> dict:
-    tree = {last: value}
-    for part in reversed(path):
-        tree = {part: tree}
-    return tree
 
 
 def number_of(value: Any, unit: str) -> Any:
