@@ -7,6 +7,7 @@ import signal
 import pytest
 from command_tools import refused
 from diagnostic_msgs.msg import DiagnosticArray
+from rig_tools import write_channels
 from ros_tools import BEST_EFFORT, PATIENCE, REPOSITORY, command, end, listen
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
@@ -68,12 +69,11 @@ def rows_told(array, key="rows"):
 
 def test_replay_feeds_a_monitor_on_simulated_time(graph, tmp_path):
     from eha_monitor.physics.simulator import Simulator
-    from eha_monitor.recordings.write import write_recording
     from eha_monitor.settings import Settings
 
     bag = tmp_path / "bag"
-    write_recording(bag, Simulator(Settings(), 1).advance(4000), Settings(),
-                    start_ns=1_000_000_000)
+    write_channels(bag, Simulator(Settings(), 1).advance(4000), Settings(),
+                   start_ns=1_000_000_000)
     damping = listen(graph, Float64, "/eha/monitor/viscous_damping", BEST_EFFORT)
     clock = listen(graph, Clock, "/clock", BEST_EFFORT)
     health = listen(graph, DiagnosticArray, "/eha/monitor/health", LATCHED)
