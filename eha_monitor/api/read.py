@@ -12,7 +12,6 @@ from eha_monitor.api.config import Config, config_of, path_of
 from eha_monitor.api.recording import Recording
 from eha_monitor.archive.find import find_bags, is_archive
 from eha_monitor.errors import InputError
-from eha_monitor.output import finite
 from eha_monitor.plausibility.judge import corrected, plausibility_of
 from eha_monitor.recordings.importing import read_table
 from eha_monitor.recordings.read import read_recording
@@ -79,11 +78,6 @@ def checked(recordings: Sequence[Inner], settings: Settings) -> tuple[ChannelFin
     if any(finding.correction for finding in findings):
         mended = Config.of(corrected(settings, findings))
     raise ImplausibleError("; ".join(blocking), findings, mended, recordings=recordings)
-
-
-def finding_tree(findings: Sequence[ChannelFinding]) -> list[dict[str, Any]]:
-    """Return the findings as JSON's plain types."""
-    return finite(list(findings))
 
 
 def corrected_config(findings: Sequence[ChannelFinding], settings: Settings,
