@@ -28,7 +28,7 @@ from eha_monitor.recordings.importing import read_table
 from eha_monitor.recordings.read import read_recording
 from eha_monitor.recordings.recording import ChannelFinding, Recording
 from eha_monitor.settings.channels import check_unit, counted_from, unit_of
-from eha_monitor.settings.load import settings_from_tree, text_tree
+from eha_monitor.settings.load import settings_from_tree, settings_of
 from eha_monitor.settings.monitor import Monitor, Settings
 from eha_monitor.settings.rig import Rig
 
@@ -235,7 +235,7 @@ def _told_alone(settings: Settings, entries: list[Entry]) -> Settings:
 
 def _made(source: Source, found: Map, lines: Lines, checks: list[str]) -> tuple[Settings, str]:
     text = draft_text(source, found, lines, checks)
-    return settings_from_tree(text_tree(text, "the draft"), "the draft"), text
+    return settings_of(text, "the draft"), text
 
 
 def _answered(found: Map, answers: Answers) -> Map:

@@ -255,7 +255,7 @@ def annotated(settings: Settings, title: str = "") -> str:
     lines = [f"# {line}".rstrip() for line in (title + "\n" + _HEAD).strip().splitlines()]
     lines += ["/**:", "  ros__parameters:", *_section(settings, 4)]
     if not settings.effects:
-        lines += _catalogue(4)
+        lines += _catalogue()
     return "\n".join(lines) + "\n"
 
 
@@ -313,9 +313,9 @@ def _pattern(annotation: Any, margin: str) -> Iterator[str]:
         yield from _comment(f"    {key}: {value}  # {_about(field)}", margin)
 
 
-def _catalogue(indent: int) -> Iterator[str]:
+def _catalogue() -> Iterator[str]:
     """Yield the effects that a config may name, with their parameters, as comments."""
-    margin = " " * indent
+    margin = " " * 4
     for line in _OWN:
         yield from _comment(line, margin)
     for effect in CATALOGUE.values():
