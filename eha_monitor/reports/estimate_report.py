@@ -15,7 +15,7 @@ from eha_monitor.indicators.indicator import Indicator
 from eha_monitor.quantity import FLOOR, ROTARY, SYMBOLS, number, quantity, share
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.reports import estimate_figures as figures
-from eha_monitor.reports.diagnosis_words import LOOK_FOR, own_config, sentence
+from eha_monitor.reports.diagnosis_words import LOOK_FOR, own_config, parameter_name, sentence
 from eha_monitor.reports.page import (
     Cell,
     FirstScreen,
@@ -29,7 +29,7 @@ from eha_monitor.reports.page import (
     table,
 )
 from eha_monitor.settings.channels import CHANNEL_UNITS
-from eha_monitor.words import PARAMETER_WORDS, listed
+from eha_monitor.words import listed
 
 if TYPE_CHECKING:
     from eha_monitor.estimation.joint import ObservabilityTable
@@ -42,11 +42,11 @@ _ALARMS = {
     "viscous_damping_low": ("the viscous damping B is too low", LOOK_FOR["B", False]),
     "bulk_modulus_high": ("the effective bulk modulus βe is too high", LOOK_FOR["beta_e", True]),
     "bulk_modulus_low": ("the effective bulk modulus βe is too low", LOOK_FOR["beta_e", False])}
-_STEPS = {"not_excited": "record a motion that excites {name} {symbol}: `eha-monitor advise "
-                         "{bag}` proposes one",
+_STEPS = {"not_excited": "record a motion that excites {name}: `eha-monitor advise {bag}` "
+                         "proposes one",
           "diverged": "check the channels and the rig data in the config: the estimate of {name} "
-                      "{symbol} diverged",
-          "no_data": "record what {name} {symbol} needs: {message}"}
+                      "diverged",
+          "no_data": "record what {name} needs: {message}"}
 
 
 @dataclass(frozen=True)
@@ -79,7 +79,7 @@ def verdict(estimate: Estimate, alarms: tuple[Alarm, ...]) -> Verdict:
         parts.append(_values(known, alarms))
     if unknown:
         parts.append("no estimate of " + " and ".join(
-            f"{PARAMETER_WORDS[p.name]} {SYMBOLS[p.name]} ({STATUS_WORDS.get(p.status, p.status)})"
+            f"{parameter_name(p.name)} ({STATUS_WORDS.get(p.status, p.status)})"
             for p in unknown))
     if estimate.model.status == "consistent":
         parts.append("the model fits the recording")
@@ -155,7 +155,7 @@ def next_steps(estimate: Estimate, alarms: tuple[Alarm, ...]) -> tuple[str, ...]
     for p in estimate.parameters.values():
         if p.status in _STEPS:
             steps.append(_STEPS[p.status].format(
-                name=PARAMETER_WORDS[p.name], symbol=SYMBOLS[p.name], bag=bag + own,
+                name=parameter_name(p.name), bag=bag + own,
                 message=p.message.rstrip(".") or "its channels are missing"))
     if without := [SYMBOLS[name] for name in estimate.parameters if not _limited(alarms, name)]:
         steps.append(f"set limits for {listed(without)}: `eha-monitor thresholds` derives them "
@@ -219,14 +219,14 @@ def _first_screen(estimate: Estimate, alarms: tuple[Alarm, ...]) -> FirstScreen:
         said.kind, said.headline, said.text,
         picture=next(filter(None, pictures), None),
         parameters=table("parameter | value | limits", [
-            (f"{PARAMETER_WORDS[key]} {SYMBOLS[key]}", _value_cell(
+            (parameter_name(key), _value_cell(
                 p, key in estimate.doubted, key in estimate.model.tainted), Cell(
                 figures.limits_in_words(limits[key], p.unit), "message desk"))
             for key, p in estimate.parameters.items()], key="parameters"),
         sentences=effect_of_mismatch(estimate), actions=next_steps(estimate, alarms))
 
 
-def _value_cell(p: ParameterEstimate, tainted: bool = False, beside: bool = False) -> Cell:
+def _value_cell(p: ParameterEstimate, tainted: bool, beside: bool = False) -> Cell:
     """Return value and status, exact in SI; what must not be used is not set in bold."""
     known, sure = math.isfinite(p.value), p.status == "converged"
     badge, level = ("in doubt", "WARN") if sure and tainted else (
@@ -277,8 +277,7 @@ def _alarm_table(alarms: tuple[Alarm, ...], key: str) -> Table:
 def _joint_table(joint: JointResult, doubted: bool) -> Table:
     """Return the parameters of the joint estimator."""
     return table("parameter | value | in words", [
-        (f"{PARAMETER_WORDS.get(p.name, p.name)} {SYMBOLS.get(p.name, p.name)}",
-         _value_cell(p, doubted),
+        (parameter_name(p.name), _value_cell(p, doubted),
          p.message if p.status == "converged" else "") for p in joint.parameters.values()],
         " |  | message", "joint")
 
@@ -289,7 +288,7 @@ def _correlation_table(joint: JointResult) -> Table:
     names = [SYMBOLS.get(name, name) for name in joint.parameters]
     strong = [f"{names[i]} and {names[j]}" for i in range(len(names)) for j in range(i)
               if i < len(correlation) and abs(correlation[i, j]) > _STRONG]
-    return table(" | ".join(("correlation", *names)), [
+    return table(("correlation", *names), [
         (names[i], *(Cell(f"{value:+.2f}".replace("-", "−") if math.isfinite(value) else "—",
                           "number strong" if i != j and abs(value) > _STRONG else "number")
                      for j, value in enumerate(row))) for i, row in enumerate(correlation)],
@@ -304,7 +303,7 @@ def _observability_table(found: "ObservabilityTable | None", recording: Recordin
     names = list(dict.fromkeys(name for row in found.rows for name in row.relative_stddev))
     here = [bool(row.channels) and recording.has(*row.channels) for row in found.rows]
     mixed = not all(here)
-    return table(" | ".join(("channels", *(SYMBOLS.get(name, name) for name in names))), [
+    return table(("channels", *(SYMBOLS.get(name, name) for name in names)), [
         (Cell(", ".join(row.channels), "strong" if mine and mixed else ""),
          *(_relative(row.relative_stddev.get(name)) for name in names))
         for row, mine in zip(found.rows, here, strict=True)], key="observability",

@@ -79,6 +79,12 @@ class Bars:
     height: np.ndarray
     width: float
 
+    @property
+    def numbers(self) -> list["Text"]:
+        """The number above each."""
+        return [Text(float(x), float(height), f"{height:g}", up="bottom", shift=(0, 2))
+                for x, height in zip(self.x, self.height, strict=True)]
+
 
 @dataclass(frozen=True)
 class Level:

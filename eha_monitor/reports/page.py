@@ -114,19 +114,20 @@ class Contents:
     links: tuple[tuple[str, Markup], ...]
 
 
-def table(head: str, rows: Sequence[Sequence[str | Cell]], kinds: str = "", key: str = "",
-          note: str = "", fold: bool = False) -> Table:
+def table(head: str | Sequence[str], rows: Sequence[Sequence[str | Cell]],
+          kinds: str | Sequence[str] = "", key: str = "", note: str = "", fold: bool = False
+          ) -> Table:
     """Return a table.
 
     Parameters
     ----------
-    head : names of the columns, with ``|`` between.
+    head : names of the columns, one by one or with ``|`` between.
     rows : of cells; those that are text get the look of their column.
-    kinds : looks of the columns, with ``|`` between.
+    kinds : looks of the columns, in the same way.
     fold : whether a long one shows its first rows only, until more are requested.
     """
-    names = tuple(part.strip() for part in head.split("|"))
-    looks = [part.strip() for part in kinds.split("|")] if kinds else [""] * len(names)
+    names, looks = (tuple(part.strip() for part in one.split("|")) if isinstance(one, str)
+                    else tuple(one) for one in (head, kinds or [""] * len(head)))
     made = tuple(tuple(one if isinstance(one, Cell) else Cell(str(one), looks[i])
                        for i, one in enumerate(row)) for row in rows)
     shown = _MOST_OPEN if fold and len(made) > _MOST_OPEN + 2 else len(made)

@@ -133,18 +133,20 @@ def marks(found: dict) -> Table:
 
 def groups(found: dict) -> list[Table]:
     """Return the shares by kind of case."""
-    return [table(f"{title} | cases | exact | within class | detectable | within class of these", [
-        (name, one["n"], percent(one["exact"]), percent(one["within_class"]), one["detectable"],
-         percent(one["detectable_within_class"])) for name, one in found[key].items()], _NUMBERS)
-        for key, title in GROUPS.items() if found.get(key)]
+    return [_shares(title, found[key], "within class of these", "detectable_within_class")
+            for key, title in GROUPS.items() if found.get(key)]
 
 
 def effects(found: dict) -> Table:
     """Return the shares by effect."""
-    return table("effect | cases | exact | within class | detectable | found of these", [
+    return _shares("effect", found["by_effect"], "found of these", "found", "key", "effects")
+
+
+def _shares(title: str, rows: dict, last: str, of: str, kind: str = "", key: str = "") -> Table:
+    """Return a row for each name; the last column, ``last``, is the share ``of``."""
+    return table(f"{title} | cases | exact | within class | detectable | {last}", [
         (name, one["n"], percent(one["exact"]), percent(one["within_class"]), one["detectable"],
-         percent(one["found"])) for name, one in found["by_effect"].items()],
-        f"key{_NUMBERS}", "effects")
+         percent(one[of])) for name, one in rows.items()], kind + _NUMBERS, key)
 
 
 def confusion(found: dict) -> Table:
