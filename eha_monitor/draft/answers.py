@@ -109,10 +109,7 @@ class Answers:
 def answers_of(given: tuple[str, ...]) -> Answers:
     """Return the answers of ``--set`` options.
 
-    Raises
-    ------
-    InputError
-        One line that names the option and what was expected.
+    Raises InputError, one line that names the option and what was expected.
     """
     rig: dict[str, str] = {}
     channels: dict[str, dict[str, str]] = {}
@@ -145,10 +142,7 @@ def answers_of(given: tuple[str, ...]) -> Answers:
 def checked(key: str, text: str, unit: str = "") -> float | None:
     """Return an answer in SI.
 
-    Raises
-    ------
-    InputError
-        If there is no such key, or it is no such quantity.
+    Raises InputError if there is no such key, or it is no such quantity.
     """
     fields = {**Rig.model_fields}
     known = [*CHOICES, *SHEET, *fields]
@@ -195,10 +189,7 @@ def checked(key: str, text: str, unit: str = "") -> float | None:
 def flow_at(key: str, text: str) -> tuple[float, float] | None:
     """Return flow (m³/s) and pressure (Pa) of ``9 l/min at 0.5 bar``; None of a leakage alone.
 
-    Raises
-    ------
-    InputError
-        If one of them is no such quantity, or not above 0.
+    Raises InputError if one of them is no such quantity, or not above 0.
     """
     flow, at, drop = (part.strip() for part in text.partition(" at "))
     if not at and key == "leakage":
@@ -226,12 +217,7 @@ def to_si_of(key: str, text: str, unit: str, words: str, absolute: bool = False)
     """Return an answer in SI, of a number or of a number with a unit.
 
     What an angle is of was not read yet: the unit of a rig that turns is as good, and the config
-    refuses the wrong one.
-
-    Raises
-    ------
-    InputError
-        If it is neither.
+    refuses the wrong one.  Raises InputError if it is neither.
     """
     try:
         return float(text)
@@ -250,10 +236,7 @@ def to_si_of(key: str, text: str, unit: str, words: str, absolute: bool = False)
 def full_scale(channel: str, text: str, kind: str) -> tuple[str, float]:
     """Return unit and scale of ``80 mm`` (at 100 %) or ``27648 = 250 bar`` (counts).
 
-    Raises
-    ------
-    InputError
-        If it is neither.
+    Raises InputError if it is neither.
     """
     match = _FULL.match(text.replace(",", "."))
     raw = None

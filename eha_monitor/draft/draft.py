@@ -150,10 +150,7 @@ class Draft:
 def drafted(source: Source, answers: Answers) -> Draft:
     """Return the draft of a config for a recording.
 
-    Raises
-    ------
-    InputError
-        If an answer is of no use, in one line.
+    Raises InputError if an answer is of no use, in one line.
     """
     found = as_answered(_from_middle(_answered(_without_pump(
         guessed(source, answers.columns()), answers), answers), answers), answers)

@@ -332,10 +332,8 @@ def open_choices(answers: Answers, entries: list[Entry], seen: Seen, gauge_known
                  ) -> list[tuple[str, str]]:
     """Return key and question of each choice that neither a person nor the recording has made.
 
-    Raises
-    ------
-    InputError
-        If x = 0 was answered to lie where the recording goes beyond the actuator's ends.
+    Raises InputError if x = 0 was answered to lie where the recording goes beyond the actuator's
+    ends.
     """
     told = answers.rig
     asked = [key for key in ("machine", "load") if key not in told]
@@ -376,14 +374,9 @@ GRAVITY = 9.81  # m/s²
 def effects_of(answers: Answers, entries: list[Entry], seen: Seen) -> list[Entry]:
     """Return the lines of ``effects``: load, valves, friction, drive, volumes that change with x.
 
-    F = A1 p1 - A2 p2 is of absolute pressures, so what the open air does to the rod's own end,
-    p_a (A1 - A2) against growing x, is a load, whatever zero the sensors have.
-
-    Raises
-    ------
-    InputError
-        If the load is one that a rotary actuator has not, or valves or volumes contradict
-        themselves.
+    F = A1 p1 - A2 p2 is of absolute pressures, so what the open air does to the rod's own end, p_a
+    (A1 - A2) against growing x, is a load, whatever zero the sensors have.  Raises InputError if
+    the load is one that a rotary actuator has not, or valves or volumes contradict themselves.
     """
     turns = _rotary(entries)
     if turns and answers.rig.get("load") == "gravity":

@@ -154,10 +154,7 @@ def modelica_of(model: Model, units: Mapping[str, str]) -> Exported:
 
     ``units`` : unit of a linear rig -> that of this one.
 
-    Raises
-    ------
-    InputError
-        If a number of the rig is null.
+    Raises InputError if a number of the rig is null.
     """
     model.require("a Modelica model")
     settings = model.settings

@@ -322,10 +322,7 @@ def rounded(value: float) -> float:
 def corrected(settings: Settings, findings: tuple[ChannelFinding, ...]) -> Settings:
     """Return the settings with what the findings correct.
 
-    Raises
-    ------
-    InputError
-        If a corrected value is out of the range of its key.
+    Raises InputError if a corrected value is out of the range of its key.
     """
     tree = settings.model_dump()
     for finding in findings:

@@ -149,10 +149,8 @@ class ChannelWriter:
     def write(self, channels: dict[str, np.ndarray]) -> None:
         """Append rows; channel -> (m,) SI values.
 
-        Raises
-        ------
-        InputError
-            If a channel runs away; nothing is left of the bag then, nor after Ctrl-C.
+        Raises InputError if a channel runs away; nothing is left of the bag then, nor after
+        Ctrl-C.
         """
         rows = len(next(iter(channels.values())))
         time = np.arange(self.rows, self.rows + rows) * self.sample_time
@@ -188,10 +186,7 @@ def write_recording(path: str | Path, recording: Recording, settings: Settings, 
 
     ``path``, ``overwrite`` : see :class:`bag_writer.BagWriter`.
 
-    Raises
-    ------
-    InputError
-        If the target exists or cannot be written, or there is nothing to write.
+    Raises InputError if the target exists or cannot be written, or there is nothing to write.
     """
     if len(recording) == 0:
         raise InputError(f"{path}: nothing to write, the recording has no samples")

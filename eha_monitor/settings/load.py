@@ -42,12 +42,8 @@ def load_settings(path: str | Path | None) -> Settings:
     """Return the settings of a YAML file, or the paper's EHA for None.
 
     The file has the form of a ROS parameter file (``/**: ros__parameters: ...``), whatever the
-    nodes are called; the sections may also stand at the top.
-
-    Raises
-    ------
-    InputError
-        One line: file, key, what was expected.
+    nodes are called; the sections may also stand at the top.  Raises InputError, one line: file,
+    key, what was expected.
     """
     if path is None:
         return Settings()
@@ -64,10 +60,7 @@ def settings_of(text: str, source: str) -> Settings:
 def tree_of(path: str | Path, what: str = "a config"):
     """Return the tree of a YAML file; ``what`` it is, in errors.
 
-    Raises
-    ------
-    InputError
-        One line: file, what was expected.
+    Raises InputError, one line: file, what was expected.
     """
     path = Path(path)
     check_regular(path, what, streams=True)
