@@ -169,10 +169,10 @@ def test_raw_writer_keeps_any_type_and_latching(tmp_path):
     raw = bytes(STORE.serialize_cdr(text, "std_msgs/msg/String"))
     with BagWriter(path, {"/a": "std_msgs/msg/String"}) as writer:
         writer.write_raw("/a", 5, raw)
-        writer.add_topic("/b", TopicType("own/msg/Own", latched=True, definition="int32 a"))
+        writer.add_topic("/b", TopicType("std_msgs/msg/Int32", latched=True))
         writer.write_raw("/b", 7, b"\x00\x01\x00\x00\x07\x00\x00\x00")
     assert [row[:3] for row in iter_raw(path)] == [("/a", "std_msgs/msg/String", 5),
-                                                   ("/b", "own/msg/Own", 7)]
+                                                   ("/b", "std_msgs/msg/Int32", 7)]
     assert "transient_local" in topics(path)["/b"].qos
     with AnyReader([path]) as reader:
         assert sum(1 for _ in reader.messages()) == 2
