@@ -86,7 +86,11 @@ def moments_of(recording: Recording) -> Moments:
              if name in levels and name != "temperature" and levels[name].span > 0
              and np.isfinite(values[start:stop]).mean() > PRESENT} \
         if stop - start >= SHORTEST else {}
-    piece = {name: filled(values.copy()) for name, values in while_all_are_there(piece).items()}
+    # Live, topics come one after another; held at its first value, a late channel would
+    # contradict the others.
+    first, stop = common_span(piece)
+    piece = {name: filled(values[first:stop].copy()) for name, values in piece.items()
+             } if stop - first >= SHORTEST else {}
     same = tuple((one, other) for i, one in enumerate(piece) for other in list(piece)[i + 1:]
                  if same_numbers(one, piece[one], other, piece[other], levels[one].span))
     place: dict[tuple[str, int], int] = {}
@@ -114,17 +118,6 @@ def moments_of(recording: Recording) -> Moments:
     unit = table / size[:, None]
     return Moments(place, unit @ unit.T / max(table.shape[1], 1), scale, mean / size,
                    np.array(noise) / size**2, levels, same, recording.sample_time)
-
-
-def while_all_are_there(piece: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Return the samples (n,) from where the last channel begins to where the first one ends.
-
-    Live, topics come one after another; held at its first value, a late channel would contradict
-    the others.
-    """
-    first, stop = common_span(piece)
-    return {name: values[first:stop] for name, values in piece.items()
-            } if stop - first >= SHORTEST else {}
 
 
 def common_span(channels: dict[str, np.ndarray]) -> tuple[int, int]:

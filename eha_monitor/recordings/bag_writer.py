@@ -151,13 +151,6 @@ COMPRESSIONS = {"zstd": CompressionType.ZSTD, "lz4": CompressionType.LZ4,
                 "none": CompressionType.NONE}
 
 
-def offered_qos(latched: bool) -> list[Qos]:
-    """Return the QoS that a recorded topic declares: reliable, transient local if latched."""
-    return [Qos(QosHistory.KEEP_LAST, 10, QosReliability.RELIABLE,
-                QosDurability.TRANSIENT_LOCAL if latched else QosDurability.VOLATILE,
-                FOREVER, FOREVER, QosLiveliness.AUTOMATIC, FOREVER, False)]
-
-
 def check_bag_target(path: str | Path, overwrite: bool) -> None:
     """Refuse a place for a new bag where something else than a bag would be lost.
 
@@ -276,7 +269,9 @@ class BagWriter:
         definition = self._store.generate_msgdef(kind.msgtype, ros_version=2)[0]
         digest = self._store.hash_rihs01(kind.msgtype)
         # rosbags drops a topic whose QoS differs between file and metadata: one source for both.
-        profiles = dump_qos_v9(offered_qos(kind.latched))
+        durability = QosDurability.TRANSIENT_LOCAL if kind.latched else QosDurability.VOLATILE
+        profiles = dump_qos_v9([Qos(QosHistory.KEEP_LAST, 10, QosReliability.RELIABLE, durability,
+                                    FOREVER, FOREVER, QosLiveliness.AUTOMATIC, FOREVER, False)])
         if kind.msgtype not in self._schemas:
             self._schemas[kind.msgtype] = self._writer.register_schema(
                 kind.msgtype, "ros2msg", definition.encode())
