@@ -10,7 +10,7 @@ from std_srvs.srv import Trigger
 from eha_monitor.health.alarms import Alarm
 from eha_monitor.recordings.ring import Ring, Saved, Saver
 from eha_monitor.recordings.write import TopicType
-from eha_monitor.ros.topics import every
+from eha_monitor.ros.topics import answered, every
 from eha_monitor.settings import Settings
 
 POLL_PERIOD = 0.1
@@ -188,10 +188,7 @@ class LateTrigger:
 
     def _on_request(self, request, response):
         refused = self._begin()
-        if refused is None:
-            return None
-        response.success, response.message = False, refused
-        return response
+        return None if refused is None else answered(response, False, refused)
 
     def _keep_or_send(self, response, header) -> None:
         if response is None:
