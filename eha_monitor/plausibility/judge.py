@@ -55,16 +55,10 @@ class Explanation:
 
 @dataclass(frozen=True)
 class Plausibility:
-    """What the channels say about the config.
+    """What the channels say about the config."""
 
-    Attributes
-    ----------
-    findings : most important first.
-    blocking : no answer would be meaningful while they stand.
-    """
-
-    findings: tuple[ChannelFinding, ...] = ()
-    blocking: bool = False
+    findings: tuple[ChannelFinding, ...] = ()  # most important first
+    blocking: bool = False  # no answer would be meaningful while they stand
 
     @property
     def message(self) -> str:

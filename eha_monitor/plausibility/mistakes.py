@@ -47,30 +47,18 @@ FITTED = ((("mass",), "mass", "inertia", 1.0), (("area_1", "area_2"), "the areas
 
 @dataclass(frozen=True)
 class Mistake:
-    """One mistake; applied to a reading it gives the reading that was meant.
+    """One mistake; applied to a reading it gives the reading that was meant."""
 
-    Attributes
-    ----------
-    kind : of the finding.
-    names : channels or keys of the rig.
-    claim : what it looks like, the beginning of the finding's sentence.
-    prior : log probability against none.
-    swap : two roles whose channels are exchanged.
-    factors : role -> meant value over the value as given.
-    numbers : key of the rig -> meant value over the value as given.
-    clock : true seconds for one recorded second.
-    without : role whose channel is something else.
-    """
-
-    kind: Kind
-    names: tuple[str, ...]
-    claim: str
-    prior: float
-    swap: tuple[str, str] | None = None
+    kind: Kind  # of the finding
+    names: tuple[str, ...]  # channels or keys of the rig
+    claim: str  # what it looks like, the beginning of the finding's sentence
+    prior: float  # log probability against none
+    swap: tuple[str, str] | None = None  # two roles whose channels are exchanged
+    # role, and key of the rig -> meant value over the value as given
     factors: dict[str, float] = field(default_factory=dict)
     numbers: dict[str, float] = field(default_factory=dict)
-    clock: float = 1.0
-    without: str = ""
+    clock: float = 1.0  # true seconds for one recorded second
+    without: str = ""  # role whose channel is something else
 
     def applied(self, reading: Reading) -> Reading:
         """Return the reading without this mistake."""

@@ -50,29 +50,18 @@ class Level:
 
 @dataclass(frozen=True)
 class Moments:
-    """What the relations need to know of a recording.
+    """What the relations need to know of a recording."""
 
-    Attributes
-    ----------
-    place : (channel, order of derivative or ``DIRECTION``) -> column; only channels that vary.
-    gram : (m, m) mean products of the columns, each centred and divided by ``scale``.
-    scale : (m,) standard deviation of each column, SI.
-    mean : (m,) mean of each column over its standard deviation; 0 for positions, whose zero is
-        anywhere.
-    noise : (m,) share of each column's variance that is the sensor's white noise.
-    levels : channel -> :class:`Level` of the raw samples.
-    same : pairs of channels that hold the same numbers.
-    sample_time : s.
-    """
-
+    # (channel, order of derivative or ``DIRECTION``) -> column; only channels that vary
     place: dict[tuple[str, int], int]
-    gram: np.ndarray
-    scale: np.ndarray
+    gram: np.ndarray  # (m, m) mean products of the columns, each centred and divided by ``scale``
+    scale: np.ndarray  # (m,) standard deviation of each column, SI
+    # (m,) mean of each column over its standard deviation; 0 for positions, whose zero is anywhere
     mean: np.ndarray
-    noise: np.ndarray
-    levels: dict[str, Level]
-    same: tuple[tuple[str, str], ...]
-    sample_time: float
+    noise: np.ndarray  # (m,) share of each column's variance that is the sensor's white noise
+    levels: dict[str, Level]  # by channel, of the raw samples
+    same: tuple[tuple[str, str], ...]  # pairs of channels that hold the same numbers
+    sample_time: float  # s
 
 
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")  # of values that are no signals

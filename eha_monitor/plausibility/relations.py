@@ -38,24 +38,16 @@ class Source:
 
 @dataclass(frozen=True)
 class Reading:
-    """A recording and a rig as one hypothesis reads them.
-
-    Attributes
-    ----------
-    roles : role (``x``, ``p1``, ...) -> where it is read; a role that is absent is not recorded.
-    rig : numbers of the rig by key, SI; None where it has none.
-    said : keys of the rig that somebody wrote; the others are defaults and bind nobody.
-    clock : true seconds for one recorded second.
-    rotary : x is an angle.
-    units : role -> unit that the config gives its column or topic, SI; absent where it gives none.
-    """
+    """A recording and a rig as one hypothesis reads them."""
 
     moments: Moments
-    roles: dict[str, Source]
-    rig: dict[str, float | None]
+    roles: dict[str, Source]  # role (``x``, ``p1``, ...) -> where it is read; those recorded
+    rig: dict[str, float | None]  # numbers of the rig by key, SI; None where it has none
+    # keys of the rig that somebody wrote; the others are defaults and bind nobody
     said: frozenset[str] = frozenset()
-    clock: float = 1.0
-    rotary: bool = False
+    clock: float = 1.0  # true seconds for one recorded second
+    rotary: bool = False  # x is an angle
+    # role -> unit that the config gives its column or topic, SI; absent where it gives none
     units: dict[str, float] = field(default_factory=dict)
 
     def has(self, *roles: str) -> bool:
@@ -177,26 +169,16 @@ class Phrase:
 
 @dataclass(frozen=True)
 class Check:
-    """One relation under one reading.
+    """One relation under one reading."""
 
-    Attributes
-    ----------
-    name : of the relation.
-    penalty : log units that it costs to believe the reading, for the relation's sign and size.
-    fit : log units for what it leaves unexplained; it distinguishes readings, and says little
-        by itself.  None where another check of the same relation has it.
-    size : what the relation shows, in words.
-    ratio : what should be 1, where the relation has such a thing.
-    sign : the same where its sign is the news; None for a relation without one.
-    reversed : the sign is wrong.
-    """
-
-    name: str
-    penalty: float
-    size: Phrase
-    sign: Phrase | None = None
-    reversed: bool = False
-    ratio: float | None = None
+    name: str  # of the relation
+    penalty: float  # log units that it costs to believe the reading, for its sign and size
+    size: Phrase  # what the relation shows, in words
+    sign: Phrase | None = None  # the same where its sign is the news; None without one
+    reversed: bool = False  # the sign is wrong
+    ratio: float | None = None  # what should be 1, where the relation has such a thing
+    # log units for what it leaves unexplained; it distinguishes readings, and says little by
+    # itself; None where another check of the same relation has it
     fit: float | None = None
 
     def phrase(self, by_sign: bool) -> Phrase:
