@@ -125,7 +125,7 @@ def answers_of(given: tuple[str, ...]) -> Answers:
             if part not in _CHANNEL_KEYS:
                 raise InputError(f"--set {one}: expected {name}.{' or '.join(_CHANNEL_KEYS)}")
             if _CHANNEL_KEYS[part]:
-                checked(f"{name}.{part}", value, _CHANNEL_KEYS[part])
+                of_channel(f"{name}.{part}", value, _CHANNEL_KEYS[part])
             channels.setdefault(name, {})[part] = value
             continue
         key = key.removeprefix("rig.")
@@ -139,44 +139,47 @@ def answers_of(given: tuple[str, ...]) -> Answers:
     return answers
 
 
-def checked(key: str, text: str, unit: str = "") -> float | None:
+def of_channel(key: str, text: str, unit: str) -> float | None:
+    """Return a number that was answered for a channel, ``x.delay``, in SI."""
+    return None if text.casefold() in _NULL else to_si_of(key, text, unit, key)
+
+
+def checked(key: str, text: str) -> float | None:
     """Return an answer in SI.
 
     Raises InputError if there is no such key, or it is no such quantity.
     """
-    fields = {**Rig.model_fields}
-    known = [*CHOICES, *SHEET, *fields]
-    if not unit and key not in known:
+    known = [*CHOICES, *SHEET, *Rig.model_fields]
+    if key not in known:
         close = difflib.get_close_matches(key, known, 1)
         hint = f"did you mean rig.{close[0]}?" if close else (
             f"expected a channel (x.unit, p1.column, ...) or rig.<{', '.join(known)}>")
         raise InputError(f"--set {key}: unknown key, {hint}")
     if key == "zero" and text not in CHOICES[key] and text[:1] in "+-.0123456789":
         return to_si_of(key, text, "m", "the reading of x in the middle of the stroke")
-    if key in CHOICES and not unit and text not in CHOICES[key]:
+    if key in CHOICES and text not in CHOICES[key]:
         more = {"rods": " (a rod on both sides)",
                 "zero": ", or the reading of x in the middle of the stroke, such as '137 mm'"
                 }.get(key, "")
         raise InputError(f"--set {key}: expected {' or '.join(CHOICES[key])}{more}, got '{text}'")
     if key in ("name", "motion", *CHOICES) or text.casefold() in _NULL:
         return None
-    si = unit or (SHEET[key][0] if key in SHEET else
-                  (fields[key].json_schema_extra or {}).get("unit", "1"))
-    words = SHEET[key][1] if key in SHEET else (fields[key].description if key in fields else key)
-    if key in FLOWS and not unit and (passed := flow_at(key, text)):
+    of_rig = {} if key in SHEET else Rig.model_fields[key].json_schema_extra or {}
+    si, words = SHEET[key] if key in SHEET else (
+        of_rig.get("unit", "1"), Rig.model_fields[key].description)
+    if key in FLOWS and (passed := flow_at(key, text)):
         flow, drop = passed
         return flow / drop * (2.0 if key == "leakage" else 1.0)  # C_T is of half a difference
     if key == "drive_lag" and text.casefold().endswith("hz"):  # a bandwidth
         text = f"{1.0 / (2.0 * pi * max(to_si_of(key, text, 'Hz', words), 1e-9)):.4g} s"
-    number = to_si_of(key, text, si, words, key in _PRESSURES and not unit)
-    if key in SIGNED and not unit:
+    number = to_si_of(key, text, si, words, key in _PRESSURES)
+    if key in SIGNED:
         if not abs(number) <= SIGNED[key]:
             raise InputError(f"--set {key}: expected {words}, at most {SIGNED[key]:.3g} {si}, "
                              f"such as '{_SUCH_AS[key]}', got '{text}'")
-    elif not unit and not number >= 0:
+    elif not number >= 0:
         raise InputError(f"--set {key}: expected at least 0 {si}, got '{text}'")
-    possible = None if unit else _POSSIBLE.get(key) or (
-        (fields[key].json_schema_extra or {}).get("possible") if key in fields else None)
+    possible = _POSSIBLE.get(key) or of_rig.get("possible")
     if possible and beyond(number, possible):
         low, high = (quantity(one, si) for one in possible)
         such_as = f", such as '{_SUCH_AS[key]}'" if key in _SUCH_AS else ""

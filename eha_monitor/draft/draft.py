@@ -7,7 +7,7 @@ from math import isclose, log
 import numpy as np
 
 from eha_monitor import __version__
-from eha_monitor.draft.answers import Answers, checked, full_scale
+from eha_monitor.draft.answers import Answers, full_scale, of_channel
 from eha_monitor.draft.guess import Guess, Map, guessed
 from eha_monitor.draft.rig import (
     Entry,
@@ -262,7 +262,7 @@ def _from_middle(found: Map, answers: Answers) -> Map:
 def _with(name: str, guess: Guess, keys: dict[str, str], rotary: bool) -> Guess:
     numbers = {key: float(keys[key]) for key in ("scale", "offset") if key in keys}
     if "delay" in keys:
-        guess = replace(guess, delay=checked(f"{name}.delay", keys["delay"], "s"))
+        guess = replace(guess, delay=of_channel(f"{name}.delay", keys["delay"], "s"))
     if "full" in keys:
         unit, scale = full_scale(name, keys["full"], guess.full or "counts")
         guess = replace(guess, unit=unit, scale=scale, full="", sure=True,
