@@ -379,10 +379,7 @@ class Diagnosis(Record, Found):
 def known_effects(names: str | Sequence[str], option: str) -> tuple[str, ...]:
     """Return effects by name, each of them of the catalogue; the caller calls them ``option``.
 
-    Raises
-    ------
-    InputError
-        Naming the first that is none.
+    Raises InputError, naming the first that is none.
     """
     names = (names,) if isinstance(names, str) else tuple(names)
     if unknown := [name for name in names if name not in CATALOGUE]:
