@@ -5,6 +5,7 @@ changes one map line that everybody writes (a unit, a swap) is everyday; a numbe
 is off by a power of ten is rarer; one that only an odd rig would explain is rarest.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from itertools import combinations, product
 from math import log, log10, pi
@@ -151,7 +152,7 @@ def mistakes_for(reading: Reading, given: tuple[Check, ...]) -> list[Mistake]:
     found += [Mistake("swapped", (role,), f"{role} does not match this motion; it may be the "
                                           "wrong column or topic", OTHER_COLUMN, without=role)
               for role in has]
-    found += number_mistakes(reading) + fitted_numbers(reading, given)
+    found += [*number_mistakes(reading), *fitted_numbers(reading, given)]
     found += [Mistake("unit", ("time",), f"the time looks like {unit}, not seconds", EVERYDAY,
                       clock=factor) for unit, factor in TIMES.items()]
     found += [Mistake("unit", ("time",), f"the time is {1 / factor:g} times too long"
@@ -160,9 +161,8 @@ def mistakes_for(reading: Reading, given: tuple[Check, ...]) -> list[Mistake]:
     return found
 
 
-def number_mistakes(reading: Reading) -> list[Mistake]:
-    """Return what can be wrong by a power of ten, or in its unit, among the rig's numbers."""
-    found = []
+def number_mistakes(reading: Reading) -> Iterator[Mistake]:
+    """Yield what can be wrong by a power of ten, or in its unit, among the rig's numbers."""
     for keys, name, others in NUMBERS:
         if any(not reading.rig[key] for key in keys):
             continue
@@ -171,16 +171,13 @@ def number_mistakes(reading: Reading) -> list[Mistake]:
         values = " and ".join(f"{reading.rig[key]:.3g}" for key in dict.fromkeys(keys))
         for factor, words in (*((factor, wrong_size(factor)) for factor in TENS),
                               *((factor, f"wrong: {words}") for words, factor in others.items())):
-            found.append(Mistake("unit", keys, f"{name} ({values} in the config) {looks} {words}",
-                                 prior + DECADE * abs(log10(factor)),
-                                 numbers=dict.fromkeys(keys, factor)))
-    return found
+            yield Mistake("unit", keys, f"{name} ({values} in the config) {looks} {words}",
+                          prior + DECADE * abs(log10(factor)), numbers=dict.fromkeys(keys, factor))
 
 
-def fitted_numbers(reading: Reading, given: tuple[Check, ...]) -> list[Mistake]:
-    """Return each number of the rig that is off by just what one relation shows."""
+def fitted_numbers(reading: Reading, given: tuple[Check, ...]) -> Iterator[Mistake]:
+    """Yield each number of the rig that is off by just what one relation shows."""
     ratios = {check.name: check.ratio for check in given if check.ratio is not None}
-    found = []
     for keys, name, relation, power in FITTED:
         off = ratios.get(relation, 0.0)
         if off <= 0 or any(not reading.rig[key] for key in keys):
@@ -191,10 +188,8 @@ def fitted_numbers(reading: Reading, given: tuple[Check, ...]) -> list[Mistake]:
         values = " and ".join(f"{reading.rig[key]:.3g}" for key in keys)
         shown = " and ".join(f"{factor * reading.rig[key]:.3g}" for key in keys)
         verb = "do not" if len(keys) > 1 else "does not"
-        found.append(Mistake("unit", keys, f"{name} ({values} in the config) {verb} fit, the "
-                             f"recording shows about {shown}", RAREST,
-                             numbers=dict.fromkeys(keys, factor)))
-    return found
+        yield Mistake("unit", keys, f"{name} ({values} in the config) {verb} fit, the recording "
+                      f"shows about {shown}", RAREST, numbers=dict.fromkeys(keys, factor))
 
 
 def units_of(role: str, rotary: bool) -> tuple[dict[str, float], str]:

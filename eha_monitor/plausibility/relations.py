@@ -230,14 +230,13 @@ def driving_force(reading: Reading) -> np.ndarray | None:
     return reading.column("force") if reading.has("force") else None
 
 
-def force_balance(reading: Reading) -> list[Check] | None:
+def force_balance(reading: Reading) -> Iterator[Check]:
     """M x'' = A1 p1 - A2 p2 - B x' - F_c sgn x' - k x: the inertia, and what friction takes."""
     force = driving_force(reading) if reading.has("x") else None
     if force is None:
-        return None
+        return
     name = "pressure force" if reading.has("p1", "p2") else "force"
     x, v, a = (reading.column("x", order) for order in range(3))
-    found = []
     if inertia := ratio(reading, force, a, v, x, reading.column("x", DIRECTION)):
         mass = reading.rig["mass"]
         unit = "kg·m²" if reading.rotary else "kg"
@@ -246,25 +245,24 @@ def force_balance(reading: Reading) -> list[Check] | None:
         # times too large, and backwards, in a stroke that hardly accelerates.
         theirs = (inertia.slope > mass and inertia.rho**2 < 0.5) or inertia.slope < -NOTHING * mass
         penalty = 0.0 if theirs else cost(inertia.slope / mass, inertia.rho, SPREAD["mass"])
-        found.append(Check("inertia", penalty, Phrase(
+        yield Check("inertia", penalty, Phrase(
             f"{name} over acceleration is a mass of {figure(inertia.slope)} {unit} where the "
             f"config says {figure(mass)}", f"{figure(inertia.slope)} {unit}"), Phrase(
             f"{name} and acceleration have correlation {inertia.rho:.2f}",
-            f"{inertia.rho:+.2f}"), inertia.rho < 0, inertia.slope / mass))
+            f"{inertia.rho:+.2f}"), inertia.rho < 0, inertia.slope / mass)
     if friction := ratio(reading, force, v, a, x):
         nominal = reading.rig["viscous_damping"] or friction.slope
         guessed = "damping" if "viscous_damping" in reading.said else "guessed"
         penalty = cost(friction.slope / nominal if nominal else 1.0, friction.rho, SPREAD[guessed])
-        found.append(Check("friction", penalty, Phrase(
+        yield Check("friction", penalty, Phrase(
             f"{name} over velocity is a damping of {figure(friction.slope)} where the config says "
             f"{figure(nominal)}", f"{figure(friction.slope)}"), Phrase(
             f"{name} and velocity have correlation {friction.rho:.2f}",
-            f"{friction.rho:+.2f}"), friction.rho < 0))
+            f"{friction.rho:+.2f}"), friction.rho < 0)
     if explained := inertia or friction:
-        found.append(Check("force", 0.0, Phrase(
+        yield Check("force", 0.0, Phrase(
             f"the motion explains {100 * explained.share:.0f} % of the {name}",
-            f"{100 * explained.share:.0f} %"), fit=unexplained(explained.share)))
-    return found
+            f"{100 * explained.share:.0f} %"), fit=unexplained(explained.share))
 
 
 def figure(value: float) -> str:
@@ -328,24 +326,23 @@ def drive(reading: Reading) -> Check | None:
     return slope_check("drive", found, "the pump's speed", "K_pos (x_d - x)")
 
 
-def tracking(reading: Reading) -> list[Check] | None:
+def tracking(reading: Reading) -> Iterator[Check]:
     """x_d = x + lag * v: the piston follows its command, later, at the same scale."""
     if not reading.has("x", "x_d"):
-        return None
+        return
     x, v, a = (reading.column("x", order) for order in range(3))
     demanded = reading.column("x_d")
-    follows = slope_check("tracking", ratio(reading, demanded, x, v, a), "x_d", "x")
-    found = [follows] if follows else []
+    if follows := slope_check("tracking", ratio(reading, demanded, x, v, a), "x_d", "x"):
+        yield follows
     behind = ratio(reading, demanded, v, x, a)
     if behind is not None and behind.share > 0.5:
         # A lag that is a small part of the motion may well be a feed-forward's.
         part = abs(behind.slope) * sqrt(v @ reading.moments.gram @ v) / max(
             sqrt(x @ reading.moments.gram @ x), 1e-300)
         penalty = backwards(behind.rho) * min(part / SLIGHT, 1.0)
-        found.append(Check("lag", penalty, Phrase(
+        yield Check("lag", penalty, Phrase(
             f"x is ahead of x_d by {figure(-1e3 * behind.slope)} ms",
-            f"{figure(1e3 * behind.slope)} ms behind")))
-    return found
+            f"{figure(1e3 * behind.slope)} ms behind"))
 
 
 def stiffness(reading: Reading) -> Check | None:
@@ -418,9 +415,8 @@ def both_forces(reading: Reading) -> Check | None:
     return slope_check("both_forces", found, "the pressure force", "the measured one")
 
 
-def sizes(reading: Reading) -> list[Check]:
+def sizes(reading: Reading) -> Iterator[Check]:
     """Ranges in which the signals of a moving rig lie."""
-    found = []
     for role, source in reading.roles.items():
         span = (TURNED if reading.rotary else {}).get(role, SIZES.get(role))
         if span is None or not reading.has(role):
@@ -434,9 +430,8 @@ def sizes(reading: Reading) -> list[Check]:
             unit = CHANNEL_UNITS[role]
             shown = f"{figure(size)} {ROTARY.get(unit, unit) if reading.rotary else unit}"
             only = " only" if size < span[0] else ""
-            found.append(Check(f"size of {role}", odd(off, SPREAD["size"]),
-                               Phrase(f"{role} {kind} {shown}{only}", shown)))
-    return found
+            yield Check(f"size of {role}", odd(off, SPREAD["size"]),
+                        Phrase(f"{role} {kind} {shown}{only}", shown))
 
 
 def clock(reading: Reading) -> Check | None:
@@ -450,6 +445,6 @@ def clock(reading: Reading) -> Check | None:
         f"{figure(1e3 * said)} ms", f"{figure(1e3 * step)} ms"))
 
 
-RELATIONS: tuple[Callable[[Reading], Check | list[Check] | None], ...] = (
+RELATIONS: tuple[Callable[[Reading], Check | Iterator[Check] | None], ...] = (
     force_balance, flow_balance, drive, tracking, stiffness, stroke, charge, measured_speed,
     both_forces, sizes, clock)
