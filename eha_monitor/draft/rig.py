@@ -4,6 +4,7 @@ Its numbers, their tolerances, its effects (load, valves, friction, drive, volum
 x), and the choices that are still to be made.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from json import dumps
 from math import degrees, pi, sin
@@ -240,11 +241,10 @@ def no_such_zero(answers: Answers, seen: Seen, rotary: bool) -> str:
             f"does x read in the middle of the stroke?  --set zero='100 {unit}'")
 
 
-def _volumes(answers: Answers, seen: Seen, rotary: bool, *areas: Entry) -> list[Entry]:
+def _volumes(answers: Answers, seen: Seen, rotary: bool, *areas: Entry) -> Iterator[Entry]:
     stroke, line = answers.number("stroke"), answers.number("line_volume") or 0.0
     zero, who = zero_of(answers, seen)
     at = f"{who or 'answered'}: x = 0 at {_WORDS[zero]}"
-    found = []
     for key, area, share in zip(("volume_1", "volume_2"), areas, _SHARES[zero], strict=True):
         own = value_of(area, answers)
         if stroke and own and share * stroke + line:
@@ -252,13 +252,11 @@ def _volumes(answers: Answers, seen: Seen, rotary: bool, *areas: Entry) -> list[
                 f", the line's {answers.rig['line_volume']}" if line else
                 "; the lines' oil is left out, --set rig.line_volume='10 cm^3'") + (
                 "" if who else "; if it is elsewhere, --set zero=retracted")
-            found.append(Entry(key, number(own * stroke * share + line), words, not line))
+            yield Entry(key, number(own * stroke * share + line), words, not line)
         else:
             of = "the whole angle as stroke, such as 270 deg," if rotary else "stroke"
-            found.append(Entry(key, "null", "oil of chamber " + key[-1] + " and its line at x = "
-                               f"0, such as 68.5 cm^3, or {of} and line_volume; without it no "
-                               "beta_e", True))
-    return found
+            yield Entry(key, "null", f"oil of chamber {key[-1]} and its line at x = 0, such as "
+                        f"68.5 cm^3, or {of} and line_volume; without it no beta_e", True)
 
 
 def _untold(key: str, words: str, example: str, hint: str = "") -> Entry:
@@ -314,9 +312,8 @@ def _charge(answers: Answers, seen: Seen, *areas: Entry) -> Entry:
                     and not answers.none("check_valve") else ""), True)
 
 
-def tolerances(entries: list[Entry]) -> list[Entry]:
-    """Return the lines of ``rig.tolerance``: how far off each may be, by its source."""
-    found = []
+def tolerances(entries: list[Entry]) -> Iterator[Entry]:
+    """Yield the lines of ``rig.tolerance``: how far off each may be, by its source."""
     for entry in entries:
         if entry.key not in _TOLERANCES or entry.value == "null" or "not used" in entry.why:
             continue
@@ -324,8 +321,7 @@ def tolerances(entries: list[Entry]) -> list[Entry]:
         words = ("data sheet", "computed or seen", "nobody has told it")[of]
         unit = "a factor" if entry.key in _FACTORS else "relative"
         size = max(_TOLERANCES[entry.key][of], entry.off)
-        found.append(Entry(entry.key, number(size), f"{unit}; {words}"))
-    return found
+        yield Entry(entry.key, number(size), f"{unit}; {words}")
 
 
 def open_choices(answers: Answers, entries: list[Entry], seen: Seen, gauge_known: bool
