@@ -14,6 +14,7 @@ from scipy.linalg import expm
 from eha_monitor.physics.simulator import Simulator
 from eha_monitor.recordings.importing import read_table
 from eha_monitor.recordings.recording import Recording
+from eha_monitor.recordings.write import write_recording
 from eha_monitor.settings import Settings, load_settings, settings_from_tree
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -22,6 +23,12 @@ DATA = ROOT.parent / "shared" / "data"  # the real recordings: not here, as they
 A, B, C_T, D_P, K_POS, M, T_S, V0, BETA = (
     5.05e-4, 600.0, 5e-13, 1.6925e-7, 23000.0, 20.0, 1e-3, 6.85e-5, 6e8)
 
+
+
+def write_channels(path, channels, settings, *, start_ns=0, overwrite=False):
+    """Write channel -> (n,) SI values on the config's sample time as a bag."""
+    return write_recording(path, Recording(settings.rig.sample_time, channels, start_ns),
+                           settings, overwrite=overwrite)
 
 
 def one_by_one(rows):

@@ -13,6 +13,7 @@ import pytest
 from archive_tools import here, killed_by_three
 from command_tools import refused
 from diagnosis_tools import coulomb, everything
+from rig_tools import write_channels
 from test_reports import Page
 
 from eha_monitor.api.diagnose import answer as diagnosis_tree
@@ -22,7 +23,6 @@ from eha_monitor.archive.store import COLUMNS
 from eha_monitor.cli import main
 from eha_monitor.commands.archive_rows import Task, diagnosis_columns, estimate_columns, row_of
 from eha_monitor.physics.simulator import Simulator
-from eha_monitor.recordings.write import write_recording
 from eha_monitor.reports.archive_report import archive_page, phrases
 from eha_monitor.settings import settings_from_tree
 
@@ -42,7 +42,7 @@ def night(path: Path, k: int, damping: float = 600.0, seconds: float = 3.0) -> P
     settings = settings_from_tree({"rig": {"viscous_damping": damping}}, "test")
     path.parent.mkdir(parents=True, exist_ok=True)
     seen = Simulator(settings, seed=k).advance(round(1000 * seconds))
-    return write_recording(path, seen, settings, start_ns=START + k * DAY)
+    return write_channels(path, seen, settings, start_ns=START + k * DAY)
 
 
 @pytest.fixture(scope="module")
@@ -324,8 +324,8 @@ def test_diagnose_of_a_folder_is_diagnose_of_its_bags(tmp_path, monkeypatch, cap
     (tmp_path / "in").mkdir()
     for k in range(2):  # at rest, which is told at once
         noise = np.random.default_rng(k).normal(0.0, 1e-6, 1000)
-        write_recording(tmp_path / "in" / f"bag{k}", {"x": noise, "x_d": np.zeros(1000)},
-                        settings, start_ns=START)
+        write_channels(tmp_path / "in" / f"bag{k}", {"x": noise, "x_d": np.zeros(1000)},
+                       settings, start_ns=START)
     counted(monkeypatch)
     assert main(["diagnose", str(tmp_path / "in"), "--out", str(tmp_path / "out")]) == 0
     assert main(["diagnose", str(tmp_path / "in/bag1"), "--json", str(tmp_path / "a.json")]) == 0

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 from mcap.reader import make_reader
-from rig_tools import SINE, TRIANGLE, copies, settings, simulated
+from rig_tools import SINE, TRIANGLE, copies, settings, simulated, write_channels
 
 from eha_monitor.api.estimate import judged
 from eha_monitor.estimation.joint import observability
@@ -20,7 +20,7 @@ from eha_monitor.recordings import columns, read
 from eha_monitor.recordings.bag_writer import BagWriter
 from eha_monitor.recordings.columns import Column, blocks, first_where, let_go, on_disk, spans_of
 from eha_monitor.recordings.recording import Recording
-from eha_monitor.recordings.write import ChannelWriter, messages_of, write_recording
+from eha_monitor.recordings.write import ChannelWriter, messages_of
 
 FINE = {"IN_MEMORY": 8192, "PIECE": 4096}
 
@@ -86,7 +86,7 @@ def test_a_bag_reads_alike_as_it_comes_and_at_once(tmp_path_factory, size, gaps,
     if slow:
         given_["temperature"] = np.where(np.arange(6000) % 100 == 0, 40.0 + np.arange(6000) / 1e4,
                                          np.nan)
-    write_recording(bag, given_, settings(), start_ns=1_700_000_000_000_000_000)
+    write_channels(bag, given_, settings(), start_ns=1_700_000_000_000_000_000)
     at_once = read._read(bag, settings(), streamed=False)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(read, "BATCH_BYTES", size)
@@ -150,8 +150,8 @@ def test_a_bag_of_several_files_is_one_recording(tmp_path, monkeypatch):
     folder.mkdir()
     for i in range(3):
         part = {name: values[2000 * i:2000 * (i + 1)] for name, values in given_.items()}
-        write_recording(folder / f"night_{i}.mcap", part, settings(),
-                        start_ns=10**18 + 2000 * i * 10**6)
+        write_channels(folder / f"night_{i}.mcap", part, settings(),
+                       start_ns=10**18 + 2000 * i * 10**6)
     monkeypatch.setattr(read, "BATCH_BYTES", 150_000)
     found = read.read_recording(folder, settings())
     for name, values in given_.items():

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from rig_tools import write_channels
 
 from eha_monitor.commands.answers import command_line, diagnose
 from eha_monitor.errors import InputError
@@ -13,7 +14,6 @@ from eha_monitor.mismatch.compared import compared
 from eha_monitor.physics.simulator import Simulator
 from eha_monitor.recordings.importing import read_table
 from eha_monitor.recordings.recording import between_stops
-from eha_monitor.recordings.write import write_recording
 from eha_monitor.settings import load_settings
 from eha_monitor.settings.load import settings_from_tree
 
@@ -113,7 +113,7 @@ def simulated(folder: Path, name: str, seed: int, **rig) -> Path:
     settings = settings_from_tree({"rig": {
         "viscous_damping": 600.0 * (1 + 0.02 * rng.standard_normal()),
         "bulk_modulus": 6e8 * (1 + 0.02 * rng.standard_normal()), **rig}}, "test")
-    return write_recording(folder / name, Simulator(settings, seed).advance(6000), settings)
+    return write_channels(folder / name, Simulator(settings, seed).advance(6000), settings)
 
 
 @pytest.mark.timeout(300)

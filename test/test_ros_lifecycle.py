@@ -10,7 +10,7 @@ from std_msgs.msg import Float64
 
 from eha_monitor.errors import InputError
 from eha_monitor.ros.managed_node import ManagedMonitor
-from eha_monitor.ros.running import actuators_of
+from eha_monitor.ros.running import actuators
 from eha_monitor.ros.topics import LATCHED
 from eha_monitor.settings import Settings, settings_from_tree
 
@@ -109,7 +109,8 @@ def test_several_actuators_have_topics_and_alarms_of_their_own(graph, tmp_path):
     config = tmp_path / "rig.yaml"
     config.write_text("thresholds: {viscous_damping: {high_warn: 700, high_error: 800}}")
     nodes = [managed(graph, settings, source=source)
-             for settings, source in actuators_of((f"left={config}", "right="))]
+             for settings, source in actuators(
+                 None, (f"left={config}", "right="), [], "monitor")]
     for node in nodes:
         node.start()
     senders = [Feeder(graph, namespace=f"/{name}") for name in ("left", "right")]
@@ -138,7 +139,7 @@ def test_several_actuators_have_topics_and_alarms_of_their_own(graph, tmp_path):
     (("a=nowhere.yaml",), "nowhere.yaml: cannot read config")])
 def test_an_actuator_that_cannot_be_is_refused(given, words):
     with pytest.raises(InputError, match=words) as caught:
-        actuators_of(given)
+        actuators(None, given, [], "monitor")
     assert "\n" not in str(caught.value)
 
 

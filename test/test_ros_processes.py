@@ -5,8 +5,10 @@ import re
 import signal
 
 import pytest
+from bag_tools import JOINT, write_mcap
 from command_tools import refused
 from diagnostic_msgs.msg import DiagnosticArray
+from rig_tools import write_channels
 from ros_tools import BEST_EFFORT, PATIENCE, REPOSITORY, command, end, listen
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
@@ -14,7 +16,6 @@ from std_msgs.msg import Float64
 from std_srvs.srv import SetBool
 
 from eha_monitor.recordings.bag import iter_raw, topics
-from eha_monitor.recordings.write import BagWriter, TopicType
 from eha_monitor.ros import messages
 from eha_monitor.ros.topics import LATCHED
 
@@ -23,15 +24,15 @@ def bag_of_joint_states(path, count, start_ns=5_000_000_000, extra=None):
     """Write positions 1 ms apart, and on request a topic of a type that is not installed."""
     from rclpy.serialization import serialize_message
 
-    with BagWriter(path, {"/eha/joint_states": "sensor_msgs/msg/JointState"}) as writer:
-        if extra:
-            writer.add_topic("/strange", TopicType(extra, definition="float64 data"))
+    def written():
         for k in range(count):
             time_ns = start_ns + k * 1_000_000
             state = messages.joint_state(time_ns, "piston", 1e-3 * k, 0.0)
-            writer.write_raw("/eha/joint_states", time_ns, serialize_message(state))
+            yield "/eha/joint_states", JOINT, time_ns, serialize_message(state)
             if extra:
-                writer.write_raw("/strange", time_ns, b"\0\1\0\0" + bytes(8))
+                yield "/strange", extra, time_ns, b"\0\1\0\0" + bytes(8)
+
+    write_mcap(path, written(), definitions={extra: "float64 data"})
 
 
 def test_simulator_monitor_record_replay(graph, tmp_path):
@@ -68,12 +69,11 @@ def rows_told(array, key="rows"):
 
 def test_replay_feeds_a_monitor_on_simulated_time(graph, tmp_path):
     from eha_monitor.physics.simulator import Simulator
-    from eha_monitor.recordings.write import write_recording
     from eha_monitor.settings import Settings
 
     bag = tmp_path / "bag"
-    write_recording(bag, Simulator(Settings(), 1).advance(4000), Settings(),
-                    start_ns=1_000_000_000)
+    write_channels(bag, Simulator(Settings(), 1).advance(4000), Settings(),
+                   start_ns=1_000_000_000)
     damping = listen(graph, Float64, "/eha/monitor/viscous_damping", BEST_EFFORT)
     clock = listen(graph, Clock, "/clock", BEST_EFFORT)
     health = listen(graph, DiagnosticArray, "/eha/monitor/health", LATCHED)

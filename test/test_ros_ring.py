@@ -23,7 +23,7 @@ from eha_monitor.live.diagnosing import Adopted, Answer, effects_in_words, model
 from eha_monitor.ros.comparison import Comparison
 from eha_monitor.ros.messages import findings_of
 from eha_monitor.ros.monitor_node import Monitor
-from eha_monitor.ros.running import actuators_of
+from eha_monitor.ros.running import actuators
 from eha_monitor.ros.simulator_node import SimulatorNode
 from eha_monitor.ros.topics import LATCHED
 from eha_monitor.settings import settings_from_tree
@@ -282,11 +282,11 @@ def test_a_machine_of_another_rig_is_refused(machine, tmp_path, capfd):
 def test_an_actuator_is_a_place_and_takes_the_machine_of_its_config_s_rig(machine, tmp_path):
     config = tmp_path / "config.yaml"
     config.write_text(f"diagnosis: {{machine: {machine}}}")
-    ((settings, _),) = actuators_of((f"left={config}",))
+    ((settings, _),) = actuators(None, (f"left={config}",), [], "monitor")
     assert (settings.rig.name, settings.monitor.namespace) == ("left", "/left")
     elsewhere = tmp_path / "elsewhere.yaml"
     elsewhere.write_text("diagnosis: {machine: /nowhere/machine.json}")
-    ((shown, _),) = actuators_of((f"left={elsewhere}",), "dashboard")
+    ((shown, _),) = actuators(None, (f"left={elsewhere}",), [], "dashboard")
     assert shown.diagnosis.machine == "/nowhere/machine.json"
     assert Comparison(settings, None, lambda *said: None, int).findings[0].level == "STALE"
 

@@ -13,7 +13,6 @@ from eha_monitor.api.read import (
     checked,
     config_for,
     distinct,
-    finding_tree,
     recordings_of,
     several,
 )
@@ -171,7 +170,7 @@ class Advice(Record, Found):
             "confusions": self.confusions, "visible_from": self.detection_limits,
             "groups": self.groups, "doubts": self.doubts, "motion": shown,
             "considered": self._considered(), "checks": self.checks,
-            "channels": finding_tree(self.channels)})
+            "channels": self.channels})
 
     def to_frame(self, table: str = "visible_from") -> "pandas.DataFrame":
         """Return a table of the answer.

@@ -29,10 +29,7 @@ _one = threading.RLock()
 def calling() -> Iterator[None]:
     """Calculate, and no other thread meanwhile; what the system refuses is bad input.
 
-    Raises
-    ------
-    InputError
-        In place of an OSError, with the same line that the command prints.
+    Raises InputError: in place of an OSError, with the same line that the command prints.
     """
     with _one:
         try:
@@ -166,10 +163,7 @@ def frame_of(rows: Iterable[Mapping[str, Any]], columns: Sequence[str], index: s
 def chosen(what: Any, makers: Mapping[str, Callable], name: str) -> Callable:
     """Return the maker of a table or picture by its name; ``name`` is the argument's.
 
-    Raises
-    ------
-    InputError
-        If there is none of that name; it names those that there are.
+    Raises InputError if there is none of that name; it names those that there are.
     """
     if not isinstance(what, str) or what not in makers:
         raise InputError(f"{name}: expected one of {', '.join(makers)}, got {what!r}")

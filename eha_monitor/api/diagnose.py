@@ -13,11 +13,11 @@ from eha_monitor.api.common import READING, Progress, Record, calling, chosen, f
 from eha_monitor.api.config import Config, path_of
 from eha_monitor.api.read import (
     Given,
+    ImplausibleError,
     Several,
     checked,
     config_for,
     distinct,
-    finding_tree,
     recordings_of,
     several,
 )
@@ -238,8 +238,8 @@ class Diagnosis(Record, Found):
         >>> d.to_dict()["effects"][0]["name"]
         'coulomb_friction'
         """
-        return answer(self) | {"channels": finding_tree(self.channels),
-                                     "indicators": [one.tree() for one in self.indicators]}
+        return answer(self) | {"channels": finite(self.channels),
+                               "indicators": [one.tree() for one in self.indicators]}
 
     def to_frame(self, table: str = "effects") -> "pandas.DataFrame":
         """Return a table of the answer.
@@ -379,10 +379,7 @@ class Diagnosis(Record, Found):
 def known_effects(names: str | Sequence[str], option: str) -> tuple[str, ...]:
     """Return effects by name, each of them of the catalogue; the caller calls them ``option``.
 
-    Raises
-    ------
-    InputError
-        Naming the first that is none.
+    Raises InputError, naming the first that is none.
     """
     names = (names,) if isinstance(names, str) else tuple(names)
     if unknown := [name for name in names if name not in CATALOGUE]:
@@ -451,7 +448,7 @@ def answer(found: Found) -> dict:
     } | ({"machine": found.machine.to_dict()} if found.machine is not None else {}))
 
 
-def refusal(bags: tuple[Path, ...], message: str, channels: list[dict]) -> dict:
+def refusal(bags: tuple[Path, ...], problem: ImplausibleError) -> dict:
     """Return the JSON tree of recordings that contradict their config; nothing is diagnosed."""
     return {
         "schema": SCHEMA, "bag": ", ".join(map(str, bags)), "verdict": "insufficient_data",
@@ -459,8 +456,8 @@ def refusal(bags: tuple[Path, ...], message: str, channels: list[dict]) -> dict:
         "location": {"balance": dict.fromkeys(("force", "flow", "drive", "sensor"), 0.0),
                      "regime": "", "intervals_s": []},
         "effects": [], "parameters": {"before": {}, "after": {}},
-        "fit": {"data": "held_out", "signals": {}}, "advice": [], "message": message,
-        "channels": channels}
+        "fit": {"data": "held_out", "signals": {}}, "advice": [], "message": str(problem),
+        "channels": finite(problem.channels)}
 
 
 def _change(change: Change) -> dict:

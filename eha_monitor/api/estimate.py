@@ -12,7 +12,7 @@ import numpy as np
 
 from eha_monitor.api.common import Progress, Record, calling, chosen, frame_of, read_only, reporter
 from eha_monitor.api.config import Config, path_of
-from eha_monitor.api.read import Given, checked, config_for, finding_tree, recordings_of
+from eha_monitor.api.read import Given, ImplausibleError, checked, config_for, recordings_of
 from eha_monitor.api.recording import Recording
 from eha_monitor.compiled import load_runtime
 from eha_monitor.errors import InputError
@@ -170,7 +170,7 @@ class Estimate(Record, Found):
         'eha_monitor/estimate/1'
         """
         return answer(self, self.alarms, self.alarm_history, self.observability) | {
-            "channels": finding_tree(self.channels),
+            "channels": finite(self.channels),
             "indicators": [one.tree() for one in self.indicators]}
 
     def to_frame(self, table: str = "parameters") -> "pandas.DataFrame":
@@ -382,13 +382,14 @@ def answer(found: Found, alarms: tuple[Alarm, ...], history: tuple[Alarm, ...],
         "losses": list(recording.losses), "warnings": list(found.warnings)})
 
 
-def refusal(recording: InnerRecording, message: str, channels: list[dict]) -> dict:
+def refusal(problem: ImplausibleError) -> dict:
     """Return the JSON tree of a recording that contradicts its config; no number is given."""
+    recording, message = problem.recordings[0], str(problem)
     nothing = {"value": None, "stddev": None, "status": "no_data", "message": message}
     return finite(_head(recording, 0.0) | {
         "parameters": {"B": nothing, "beta_e": nothing}, "alarms": [],
         "model": {"status": "not_judged", "message": message, "mismatches": [], "tainted": {}},
-        "channels": channels, "losses": list(recording.losses), "warnings": [message]})
+        "channels": problem.channels, "losses": list(recording.losses), "warnings": [message]})
 
 
 def _head(recording: InnerRecording, wall_s: float) -> dict:

@@ -12,7 +12,6 @@ from eha_monitor.api.config import Config, config_of, path_of
 from eha_monitor.api.recording import Recording
 from eha_monitor.archive.find import find_bags, is_archive
 from eha_monitor.errors import InputError
-from eha_monitor.output import finite
 from eha_monitor.plausibility.judge import corrected, plausibility_of
 from eha_monitor.recordings.importing import read_table
 from eha_monitor.recordings.read import read_recording
@@ -58,10 +57,7 @@ class ImplausibleError(InputError):
 def checked(recordings: Sequence[Inner], settings: Settings) -> tuple[ChannelFinding, ...]:
     """Return what each recording's channels say about the config, where an answer is possible.
 
-    Raises
-    ------
-    ImplausibleError
-        If no answer would be meaningful (exit status 2).
+    Raises ImplausibleError if no answer would be meaningful (exit status 2).
     """
     found: dict[str, ChannelFinding] = {}
     blocking: list[str] = []
@@ -79,11 +75,6 @@ def checked(recordings: Sequence[Inner], settings: Settings) -> tuple[ChannelFin
     if any(finding.correction for finding in findings):
         mended = Config.of(corrected(settings, findings))
     raise ImplausibleError("; ".join(blocking), findings, mended, recordings=recordings)
-
-
-def finding_tree(findings: Sequence[ChannelFinding]) -> list[dict[str, Any]]:
-    """Return the findings as JSON's plain types."""
-    return finite(list(findings))
 
 
 def corrected_config(findings: Sequence[ChannelFinding], settings: Settings,
@@ -164,10 +155,8 @@ def inner_of(path: Path, config: Config) -> Inner:
 def recordings_of(given: Several, config: Config, name: str) -> list[Inner]:
     """Return the inner recordings of the argument ``name``: paths are read, recordings are taken.
 
-    Raises
-    ------
-    InputError
-        If there is none, or one was read with channels that the config maps otherwise.
+    Raises InputError if there is none, or one was read with channels that the config maps
+    otherwise.
     """
     return [inner_of(one, config) if isinstance(one, Path) else _fitting(one, config)
             for one in several(given, name)]
@@ -204,10 +193,7 @@ def distinct(recordings: Sequence[Recording | Path], held_out: Recording | Path 
              references: Sequence[Recording | Path] = (), option: str = "held_out") -> None:
     """Refuse a recording that is given twice, or fitted and kept back (``option``) at once.
 
-    Raises
-    ------
-    InputError
-        Naming the recording.
+    Raises InputError, naming the recording.
     """
     places = [_place(one) for one in (*recordings, *references)]
     for one, place in zip((*recordings, *references), places, strict=True):

@@ -88,7 +88,13 @@ class Recording(Record, Inner):
         if len(set(lengths.values())) > 1:
             raise InputError(f"{said}: channels differ in length: " + ", ".join(
                 f"{name} {length}" for name, length in lengths.items()))
-        step = _positive(said, "sample_time", sample_time)
+        try:
+            step = float(sample_time)
+        except (TypeError, ValueError):
+            step = np.nan
+        if not 0.0 < step < np.inf:
+            raise InputError(f"{said}: sample_time: expected seconds, more than 0, got "
+                             f"{sample_time!r}")
         if config is not None and not isinstance(config, Config):
             raise InputError(f"{said}: config: expected an em.Config or None, got "
                              f"{type(config).__name__}")
@@ -286,16 +292,6 @@ def _column(source: str, name: Any, values: Any) -> np.ndarray:
         raise InputError(f"{source}: channel {name}: expected a column of numbers (n,), got shape "
                          f"{column.shape}")
     return column
-
-
-def _positive(source: str, name: str, value: Any) -> float:
-    try:
-        number_of = float(value)
-    except (TypeError, ValueError):
-        number_of = np.nan
-    if not 0.0 < number_of < np.inf:
-        raise InputError(f"{source}: {name}: expected seconds, more than 0, got {value!r}")
-    return number_of
 
 
 def _step_of(index: "pandas.Index", source: str) -> float:

@@ -2,6 +2,7 @@
 
 import shlex
 from collections.abc import Sequence
+from functools import partial
 from io import StringIO
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -44,11 +45,10 @@ def estimate(bag: Path, config: Path | None, json_file: Path | None, report_file
     from eha_monitor.api.config import config_of
     from eha_monitor.api.estimate import estimate as run
     from eha_monitor.api.estimate import refusal
-    from eha_monitor.api.read import corrected_config, finding_tree
+    from eha_monitor.api.read import corrected_config
 
     given = config_of(config)
-    with common.refusing(given, config, json_file, config_file, lambda problem: refusal(
-            problem.recordings[0], str(problem), finding_tree(problem.channels))), common.working(
+    with common.refusing(given, config, json_file, config_file, refusal), common.working(
             f"reading {bag}") as told:
         found = run(bag, given, progress=lambda text, share: told(text))
     if json_file or report_file:
@@ -125,7 +125,7 @@ def diagnose(bags: tuple[Path, ...], config: Path | None, json_file: Path | None
     from eha_monitor.api.config import config_of
     from eha_monitor.api.diagnose import bags_of, completed, known_effects, refusal, written_config
     from eha_monitor.api.diagnose import diagnose as run
-    from eha_monitor.api.read import distinct, finding_tree
+    from eha_monitor.api.read import distinct
     from eha_monitor.balances.machine import save
     from eha_monitor.reports.diagnosis_words import channels_in_parts, not_in_config
     from eha_monitor.settings.hypothesis import load_hypothesis
@@ -152,8 +152,7 @@ def diagnose(bags: tuple[Path, ...], config: Path | None, json_file: Path | None
     given = config_of(config)
     hypothesis = load_hypothesis(hypothesis_file) if hypothesis_file else None
     with common.progress_bar() as told, common.refusing(
-            given, config, json_file, config_file, lambda problem: refusal(
-            bags, str(problem), finding_tree(problem.channels))):
+            given, config, json_file, config_file, partial(refusal, bags)):
         found = run(bags, given, held_out=held_out, references=references, hypothesis=hypothesis,
                     without=without, vary=vary,
                     machine=None if several else machine_file, progress=told)

@@ -60,10 +60,7 @@ class Task:
 def answer_folder(command: str, folder: Path, config: Path | None, options: Archive) -> bool:
     """Bring the table of a folder up to date; tell whether any bag is not well.
 
-    Raises
-    ------
-    InputError
-        If no bag of the folder could be answered, or the table cannot be written.
+    Raises InputError if no bag of the folder could be answered, or the table cannot be written.
     """
     end_as_on_interrupt()
     check_parquet()

@@ -147,7 +147,9 @@ class Page:
         rig = f"rig {view.hardware}, " if view.hardware != shown.name else ""
         self._where.set_text(f"{rig}{last}, namespace {shown.namespace}, "
                              f"ROS domain {shown.domain}")
-        self._overall.show(*_overall(view), quiet=words.quiet(view))
+        level, content = words.overall(view)
+        quiet = words.quiet(view)
+        self._overall.show(level, content + ", acknowledged" * quiet, quiet)
 
     def _refresh_tile(self, name: str, view: View) -> None:
         tile, level, numbers, last = self._tiles[name]
@@ -195,8 +197,3 @@ class Page:
         more = len(found) - _EVENTS
         nothing = "" if found else "Nothing has changed since the dashboard was started."
         self._older.set_text(f"{more} older ones are in the file." if more > 0 else nothing)
-
-
-def _overall(view: View) -> tuple[str, str]:
-    level, content = words.overall(view)
-    return level, content + (", acknowledged" if words.quiet(view) else "")

@@ -109,10 +109,7 @@ class Answers:
 def answers_of(given: tuple[str, ...]) -> Answers:
     """Return the answers of ``--set`` options.
 
-    Raises
-    ------
-    InputError
-        One line that names the option and what was expected.
+    Raises InputError, one line that names the option and what was expected.
     """
     rig: dict[str, str] = {}
     channels: dict[str, dict[str, str]] = {}
@@ -128,7 +125,7 @@ def answers_of(given: tuple[str, ...]) -> Answers:
             if part not in _CHANNEL_KEYS:
                 raise InputError(f"--set {one}: expected {name}.{' or '.join(_CHANNEL_KEYS)}")
             if _CHANNEL_KEYS[part]:
-                checked(f"{name}.{part}", value, _CHANNEL_KEYS[part])
+                of_channel(f"{name}.{part}", value, _CHANNEL_KEYS[part])
             channels.setdefault(name, {})[part] = value
             continue
         key = key.removeprefix("rig.")
@@ -142,47 +139,47 @@ def answers_of(given: tuple[str, ...]) -> Answers:
     return answers
 
 
-def checked(key: str, text: str, unit: str = "") -> float | None:
+def of_channel(key: str, text: str, unit: str) -> float | None:
+    """Return a number that was answered for a channel, ``x.delay``, in SI."""
+    return None if text.casefold() in _NULL else to_si_of(key, text, unit, key)
+
+
+def checked(key: str, text: str) -> float | None:
     """Return an answer in SI.
 
-    Raises
-    ------
-    InputError
-        If there is no such key, or it is no such quantity.
+    Raises InputError if there is no such key, or it is no such quantity.
     """
-    fields = {**Rig.model_fields}
-    known = [*CHOICES, *SHEET, *fields]
-    if not unit and key not in known:
+    known = [*CHOICES, *SHEET, *Rig.model_fields]
+    if key not in known:
         close = difflib.get_close_matches(key, known, 1)
         hint = f"did you mean rig.{close[0]}?" if close else (
             f"expected a channel (x.unit, p1.column, ...) or rig.<{', '.join(known)}>")
         raise InputError(f"--set {key}: unknown key, {hint}")
     if key == "zero" and text not in CHOICES[key] and text[:1] in "+-.0123456789":
         return to_si_of(key, text, "m", "the reading of x in the middle of the stroke")
-    if key in CHOICES and not unit and text not in CHOICES[key]:
+    if key in CHOICES and text not in CHOICES[key]:
         more = {"rods": " (a rod on both sides)",
                 "zero": ", or the reading of x in the middle of the stroke, such as '137 mm'"
                 }.get(key, "")
         raise InputError(f"--set {key}: expected {' or '.join(CHOICES[key])}{more}, got '{text}'")
     if key in ("name", "motion", *CHOICES) or text.casefold() in _NULL:
         return None
-    si = unit or (SHEET[key][0] if key in SHEET else
-                  (fields[key].json_schema_extra or {}).get("unit", "1"))
-    words = SHEET[key][1] if key in SHEET else (fields[key].description if key in fields else key)
-    if key in FLOWS and not unit and (passed := flow_at(key, text)):
+    of_rig = {} if key in SHEET else Rig.model_fields[key].json_schema_extra or {}
+    si, words = SHEET[key] if key in SHEET else (
+        of_rig.get("unit", "1"), Rig.model_fields[key].description)
+    if key in FLOWS and (passed := flow_at(key, text)):
         flow, drop = passed
         return flow / drop * (2.0 if key == "leakage" else 1.0)  # C_T is of half a difference
     if key == "drive_lag" and text.casefold().endswith("hz"):  # a bandwidth
         text = f"{1.0 / (2.0 * pi * max(to_si_of(key, text, 'Hz', words), 1e-9)):.4g} s"
-    number = to_si_of(key, text, si, words, key in _PRESSURES and not unit)
-    if key in SIGNED and not unit:
+    number = to_si_of(key, text, si, words, key in _PRESSURES)
+    if key in SIGNED:
         if not abs(number) <= SIGNED[key]:
             raise InputError(f"--set {key}: expected {words}, at most {SIGNED[key]:.3g} {si}, "
                              f"such as '{_SUCH_AS[key]}', got '{text}'")
-    elif not unit and not number >= 0:
+    elif not number >= 0:
         raise InputError(f"--set {key}: expected at least 0 {si}, got '{text}'")
-    possible = None if unit else _POSSIBLE.get(key) or (
-        (fields[key].json_schema_extra or {}).get("possible") if key in fields else None)
+    possible = _POSSIBLE.get(key) or of_rig.get("possible")
     if possible and beyond(number, possible):
         low, high = (quantity(one, si) for one in possible)
         such_as = f", such as '{_SUCH_AS[key]}'" if key in _SUCH_AS else ""
@@ -195,10 +192,7 @@ def checked(key: str, text: str, unit: str = "") -> float | None:
 def flow_at(key: str, text: str) -> tuple[float, float] | None:
     """Return flow (m³/s) and pressure (Pa) of ``9 l/min at 0.5 bar``; None of a leakage alone.
 
-    Raises
-    ------
-    InputError
-        If one of them is no such quantity, or not above 0.
+    Raises InputError if one of them is no such quantity, or not above 0.
     """
     flow, at, drop = (part.strip() for part in text.partition(" at "))
     if not at and key == "leakage":
@@ -226,12 +220,7 @@ def to_si_of(key: str, text: str, unit: str, words: str, absolute: bool = False)
     """Return an answer in SI, of a number or of a number with a unit.
 
     What an angle is of was not read yet: the unit of a rig that turns is as good, and the config
-    refuses the wrong one.
-
-    Raises
-    ------
-    InputError
-        If it is neither.
+    refuses the wrong one.  Raises InputError if it is neither.
     """
     try:
         return float(text)
@@ -250,10 +239,7 @@ def to_si_of(key: str, text: str, unit: str, words: str, absolute: bool = False)
 def full_scale(channel: str, text: str, kind: str) -> tuple[str, float]:
     """Return unit and scale of ``80 mm`` (at 100 %) or ``27648 = 250 bar`` (counts).
 
-    Raises
-    ------
-    InputError
-        If it is neither.
+    Raises InputError if it is neither.
     """
     match = _FULL.match(text.replace(",", "."))
     raw = None

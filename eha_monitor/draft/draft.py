@@ -7,7 +7,7 @@ from math import isclose, log
 import numpy as np
 
 from eha_monitor import __version__
-from eha_monitor.draft.answers import Answers, checked, full_scale
+from eha_monitor.draft.answers import Answers, full_scale, of_channel
 from eha_monitor.draft.guess import TIMES, Guess, Map, guessed
 from eha_monitor.draft.rig import (
     Entry,
@@ -16,6 +16,7 @@ from eha_monitor.draft.rig import (
     number,
     open_choices,
     rig_entries,
+    scalar,
     seen_in,
     tolerances,
     too_short,
@@ -27,7 +28,7 @@ from eha_monitor.recordings.importing import read_table
 from eha_monitor.recordings.read import read_recording
 from eha_monitor.recordings.recording import ChannelFinding, Recording
 from eha_monitor.settings.channels import check_unit, counted_from, unit_of
-from eha_monitor.settings.load import settings_from_tree, text_tree
+from eha_monitor.settings.load import settings_from_tree, settings_of
 from eha_monitor.settings.monitor import Monitor, Settings
 from eha_monitor.settings.rig import Rig
 
@@ -71,7 +72,7 @@ def draft_text(source: Source, found: Map, told: Lines, checks: list[str]) -> st
         lines += ["monitor:", _line(f"  namespace: {space}", "all topics of the bag are in it")]
     lines += ["channels:"] if source.bag else ["table:"]
     if not source.bag:
-        lines += [_line(f"  {key}: {_scalar(value)}", "values: how the file is laid out")
+        lines += [_line(f"  {key}: {scalar(value)}", "values: how the file is laid out")
                   for key, value in source.table.items()]
         lines += _time(found.time)
         readable = not all(guess.full for guess in found.channels.values())
@@ -111,7 +112,7 @@ def _line(text: str, why: str, ask: bool = False) -> str:
 def _time(time: Guess | None) -> list[str]:
     if time is None:
         return [f"  # {ASK}: no column of the time was found; rows follow at rig.sample_time"]
-    column = _scalar(time.candidate.place["column"])
+    column = scalar(time.candidate.place["column"])
     lines = [_line(f"  time: {column}", time.why)]
     if time.unit:
         why = "header" if time.sure else "guessed from values"
@@ -120,23 +121,15 @@ def _time(time: Guess | None) -> list[str]:
 
 
 def _channel(name: str, guess: Guess, margin: str) -> str:
-    parts = [f"{key}: {_scalar(value)}" for key, value in guess.candidate.place.items()]
-    parts += [f"unit: {_scalar(guess.unit)}"] if guess.unit else []
+    parts = [f"{key}: {scalar(value)}" for key, value in guess.candidate.place.items()]
+    parts += [f"unit: {scalar(guess.unit)}"] if guess.unit else []
     parts += [f"{key}: {number(value)}" for key, value, usual in (
         ("scale", guess.scale, 1.0), ("offset", guess.offset, 0.0), ("delay", guess.delay, 0.0))
         if value != usual]
     if guess.clock:
-        parts += [f"time: {_scalar(guess.clock.candidate.place['column'])}",
+        parts += [f"time: {scalar(guess.clock.candidate.place['column'])}",
                   f"time_scale: {guess.clock.unit}"]
     return _line(f"{margin}{name}: {{{', '.join(parts)}}}", guess.why)
-
-
-def _scalar(value: str | int) -> str:
-    if isinstance(value, int):
-        return str(value)
-    return value if value.isidentifier() and value.casefold() not in (
-        "y", "n", "yes", "no", "on", "off", "true", "false", "null") else dumps(
-        value, ensure_ascii=False)
 
 
 ROUNDS = 4  # a swap may hide a unit, and that a sign
@@ -159,10 +152,7 @@ class Draft:
 def drafted(source: Source, answers: Answers) -> Draft:
     """Return the draft of a config for a recording.
 
-    Raises
-    ------
-    InputError
-        If an answer is of no use, in one line.
+    Raises InputError if an answer is of no use, in one line.
     """
     found = as_answered(_from_middle(_answered(_without_pump(
         guessed(source, answers.columns()), answers), answers), answers), answers)
@@ -244,7 +234,7 @@ def _told_alone(settings: Settings, entries: list[Entry]) -> Settings:
 
 def _made(source: Source, found: Map, lines: Lines, checks: list[str]) -> tuple[Settings, str]:
     text = draft_text(source, found, lines, checks)
-    return settings_from_tree(text_tree(text, "the draft"), "the draft"), text
+    return settings_of(text, "the draft"), text
 
 
 def _answered(found: Map, answers: Answers) -> Map:
@@ -274,7 +264,7 @@ def _from_middle(found: Map, answers: Answers) -> Map:
 def _with(name: str, guess: Guess, keys: dict[str, str], rotary: bool) -> Guess:
     numbers = {key: float(keys[key]) for key in ("scale", "offset") if key in keys}
     if "delay" in keys:
-        guess = replace(guess, delay=checked(f"{name}.delay", keys["delay"], "s"))
+        guess = replace(guess, delay=of_channel(f"{name}.delay", keys["delay"], "s"))
     if "full" in keys:
         unit, scale = full_scale(name, keys["full"], guess.full or "counts")
         guess = replace(guess, unit=unit, scale=scale, full="", sure=True,

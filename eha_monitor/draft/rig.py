@@ -4,6 +4,7 @@ Its numbers, their tolerances, its effects (load, valves, friction, drive, volum
 x), and the choices that are still to be made.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from json import dumps
 from math import degrees, pi, sin
@@ -15,6 +16,7 @@ from eha_monitor.draft.answers import FLOWS, Answers, flow_at
 from eha_monitor.errors import InputError
 from eha_monitor.plausibility.relations import FORWARD
 from eha_monitor.quantity import quantity
+from eha_monitor.settings.load import YAML11_BOOLEANS
 from eha_monitor.settings.rig import Rig
 
 FITS = 0.97  # share of the pump speed's variance that a gain must explain to be written
@@ -103,28 +105,26 @@ def rig_entries(answers: Answers, seen: Seen, rotary: bool, name: str) -> list[E
     given = dict(answers.rig)
     rotary = answers.turns(rotary)
     area_1, area_2 = _areas(answers, rotary)
-    own = given.pop("name", name)
-    entries = [
-        Entry("name", own if own.isidentifier() else dumps(own, ensure_ascii=False),
-              "answered" if "name" in answers.rig else
-              "from the file's name; --set name='Press 3' gives another"),
-        Entry("motion", given.get("motion", "rotary" if rotary else "linear"),
-              "answered" if "motion" in given else "header: units of the position"),
+    own = given.pop("name", "")
+    without = [
+        Entry("name", scalar(own or name),
+              "answered" if own else "from the file's name; --set name='Press 3' gives another"),
+        Entry("motion", "rotary" if rotary else "linear", "header: units of the position"),
         area_1, area_2, *_volumes(answers, seen, rotary, area_1, area_2),
-        _told(answers, "mass", "moment of inertia", "3 kg m^2") if rotary else
-        _told(answers, "mass", "moving mass", "20 kg",
-              "; until told, the config has no load (gravity was answered)"
-              if answers.rig.get("load") == "gravity" else ""),
-        _told(answers, "pump_displacement", "of the pump", "1.6 cm^3/rev", seen_pump(
-            answers, area_1, seen)),
-        _gain(answers, seen),
-        _told(answers, "leakage", "of all paths together; affects βe in slow motion",
-              "0.15 l/min at 100 bar, or twice that flow over its pressure, 5e-13"),
+        _untold("mass", "moment of inertia", "3 kg m^2") if rotary else
+        _untold("mass", "moving mass", "20 kg",
+                "; until told, the config has no load (gravity was answered)"
+                if answers.rig.get("load") == "gravity" else ""),
+        Entry("pump_displacement", "null", "of the pump, such as 1.6 cm^3/rev"
+              + seen_pump(answers, area_1, seen), True),
+        _gain(seen),
+        _untold("leakage", "of all paths together; affects βe in slow motion",
+                "0.15 l/min at 100 bar, or twice that flow over its pressure, 5e-13"),
         _makeup(answers), _charge(answers, seen, area_1, area_2),
-        Entry("sample_time", number(seen.sample_time), "values: the usual step of the time")
-        if "sample_time" not in given else _answered(answers, "sample_time"),
-    ]
-    entries = [_nothing(answers, one.key) if answers.lacks(one.key) else one for one in entries]
+        Entry("sample_time", number(seen.sample_time), "values: the usual step of the time")]
+    # What was answered stands, whatever else there is to say of it.
+    entries = [_answered(answers, one.key) if one.key in given else
+               _nothing(answers, one.key) if answers.lacks(one.key) else one for one in without]
     done = {entry.key for entry in entries}
     entries += [_answered(answers, key) for key in given
                 if key in Rig.model_fields and key not in done]
@@ -151,6 +151,14 @@ def _answered(answers: Answers, key: str) -> Entry:
         return Entry(key, text if plain else f'"{text}"', "answered")
 
 
+def scalar(value: str | int) -> str:
+    """Return a text or a whole number as YAML, in quotes unless it is one plain word."""
+    if isinstance(value, int):
+        return str(value)
+    plain = value.isidentifier() and value.casefold() not in (*YAML11_BOOLEANS, "null")
+    return value if plain else dumps(value, ensure_ascii=False)
+
+
 def _areas(answers: Answers, rotary: bool) -> tuple[Entry, Entry]:
     if rotary:  # a bore says nothing of a vane or a rack
         first, second = (
@@ -165,9 +173,7 @@ def _areas(answers: Answers, rotary: bool) -> tuple[Entry, Entry]:
     sheet = answers.rig
     found = []
     for key, open_end in (("area_1", rods == "1"), ("area_2", False)):
-        if key in sheet:
-            found.append(_answered(answers, key))
-        elif bore and (open_end or rod is not None):
+        if bore and (open_end or rod is not None):
             minus = 0.0 if open_end else rod
             words = f"of bore {sheet['bore']}" + ("" if open_end else f" and rod {sheet['rod']}")
             found.append(Entry(key, number(pi / 4 * (bore**2 - minus**2)), f"answered: {words}"))
@@ -207,7 +213,7 @@ def zero_of(answers: Answers, seen: Seen) -> tuple[str, str]:
     return "middle", ""
 
 
-def too_short(answers: Answers, seen: Seen, rotary: bool = False) -> str:
+def too_short(answers: Answers, seen: Seen, rotary: bool) -> str:
     """Return in words that x moves over more than the whole stroke that was answered, or ""."""
     stroke = answers.number("stroke")
     if not stroke or not seen.span or seen.span[1] - seen.span[0] <= 1.03 * stroke:
@@ -223,7 +229,7 @@ def _beyond(zero: str, stroke: float, span: tuple[float, float]) -> bool:
     return span[0] < -(below + 0.03) * stroke or span[1] > (above + 0.03) * stroke
 
 
-def no_such_zero(answers: Answers, seen: Seen, rotary: bool = False) -> str:
+def no_such_zero(answers: Answers, seen: Seen, rotary: bool) -> str:
     """Return in words how far x runs where that is beyond the actuator's ends, or ""."""
     stroke, zero = answers.number("stroke"), zero_of(answers, seen)[0]
     if not stroke or not seen.span or not _beyond(zero, stroke, seen.span):
@@ -235,37 +241,27 @@ def no_such_zero(answers: Answers, seen: Seen, rotary: bool = False) -> str:
             f"does x read in the middle of the stroke?  --set zero='100 {unit}'")
 
 
-def _volumes(answers: Answers, seen: Seen, rotary: bool, *areas: Entry) -> list[Entry]:
+def _volumes(answers: Answers, seen: Seen, rotary: bool, *areas: Entry) -> Iterator[Entry]:
     stroke, line = answers.number("stroke"), answers.number("line_volume") or 0.0
     zero, who = zero_of(answers, seen)
     at = f"{who or 'answered'}: x = 0 at {_WORDS[zero]}"
-    found = []
     for key, area, share in zip(("volume_1", "volume_2"), areas, _SHARES[zero], strict=True):
         own = value_of(area, answers)
-        if key in answers.rig:
-            found.append(_answered(answers, key))
-        elif stroke and own and share * stroke + line:
+        if stroke and own and share * stroke + line:
             words = f"{at}, stroke {answers.rig['stroke']}" + (
                 f", the line's {answers.rig['line_volume']}" if line else
                 "; the lines' oil is left out, --set rig.line_volume='10 cm^3'") + (
                 "" if who else "; if it is elsewhere, --set zero=retracted")
-            found.append(Entry(key, number(own * stroke * share + line), words, not line))
+            yield Entry(key, number(own * stroke * share + line), words, not line)
         else:
             of = "the whole angle as stroke, such as 270 deg," if rotary else "stroke"
-            found.append(Entry(key, "null", "oil of chamber " + key[-1] + " and its line at x = "
-                               f"0, such as 68.5 cm^3, or {of} and line_volume; without it no "
-                               "beta_e", True))
-    return found
+            yield Entry(key, "null", f"oil of chamber {key[-1]} and its line at x = 0, such as "
+                        f"68.5 cm^3, or {of} and line_volume; without it no beta_e", True)
 
 
-def _told(answers: Answers, key: str, words: str, example: str, hint: str = "") -> Entry:
-    if key in answers.rig:
-        return _answered(answers, key)
-    default = Rig.model_fields[key].default
-    if key == "pump_displacement":
-        return Entry(key, "null", f"{words}, such as {example}{hint}", True)
-    return Entry(key, number(default), f"{words}, such as {example}; this is the {PAPER}{hint}",
-                 True)
+def _untold(key: str, words: str, example: str, hint: str = "") -> Entry:
+    return Entry(key, number(Rig.model_fields[key].default),
+                 f"{words}, such as {example}; this is the {PAPER}{hint}", True)
 
 
 def seen_pump(answers: Answers, area: Entry, seen: Seen) -> str:
@@ -277,9 +273,7 @@ def seen_pump(answers: Answers, area: Entry, seen: Seen) -> str:
     return f"; the recording shows about {size:.3g} cm^3/rev"
 
 
-def _gain(answers: Answers, seen: Seen) -> Entry:
-    if "position_gain" in answers.rig:
-        return _answered(answers, "position_gain")
+def _gain(seen: Seen) -> Entry:
     gain, off = seen.gain, 0.0
     if gain and gain.explains > FITS and gain.K_pos > 0:
         why = (f"values: omega over x_d - x, which explains {100 * min(gain.explains, 0.9999):.2f}"
@@ -296,8 +290,6 @@ def _gain(answers: Answers, seen: Seen) -> Entry:
 
 
 def _makeup(answers: Answers) -> Entry:
-    if "makeup_conductance" in answers.rig:
-        return _answered(answers, "makeup_conductance")
     if answers.rig.get("machine") == "accumulator":
         return Entry("makeup_conductance", "0.0", "answered: an accumulator, or check valves, hold"
                      " one side's pressure; no path of a conductance")
@@ -311,8 +303,6 @@ def _makeup(answers: Answers) -> Entry:
 
 
 def _charge(answers: Answers, seen: Seen, *areas: Entry) -> Entry:
-    if "charge_pressure" in answers.rig:
-        return _answered(answers, "charge_pressure")
     own = [value_of(area, answers) for area in areas]
     if seen.charge and seen.charge > 0 and own[0] == own[1] and own[0]:
         return Entry("charge_pressure", number(seen.charge), f"values: {MEAN_FREE}")
@@ -322,9 +312,8 @@ def _charge(answers: Answers, seen: Seen, *areas: Entry) -> Entry:
                     and not answers.none("check_valve") else ""), True)
 
 
-def tolerances(entries: list[Entry]) -> list[Entry]:
-    """Return the lines of ``rig.tolerance``: how far off each may be, by its source."""
-    found = []
+def tolerances(entries: list[Entry]) -> Iterator[Entry]:
+    """Yield the lines of ``rig.tolerance``: how far off each may be, by its source."""
     for entry in entries:
         if entry.key not in _TOLERANCES or entry.value == "null" or "not used" in entry.why:
             continue
@@ -332,18 +321,15 @@ def tolerances(entries: list[Entry]) -> list[Entry]:
         words = ("data sheet", "computed or seen", "nobody has told it")[of]
         unit = "a factor" if entry.key in _FACTORS else "relative"
         size = max(_TOLERANCES[entry.key][of], entry.off)
-        found.append(Entry(entry.key, number(size), f"{unit}; {words}"))
-    return found
+        yield Entry(entry.key, number(size), f"{unit}; {words}")
 
 
 def open_choices(answers: Answers, entries: list[Entry], seen: Seen, gauge_known: bool
                  ) -> list[tuple[str, str]]:
     """Return key and question of each choice that neither a person nor the recording has made.
 
-    Raises
-    ------
-    InputError
-        If x = 0 was answered to lie where the recording goes beyond the actuator's ends.
+    Raises InputError if x = 0 was answered to lie where the recording goes beyond the actuator's
+    ends.
     """
     told = answers.rig
     asked = [key for key in ("machine", "load") if key not in told]
@@ -368,11 +354,14 @@ def open_choices(answers: Answers, entries: list[Entry], seen: Seen, gauge_known
         found.append(("parts", f"what the data sheets say of {', '.join(parts)}: --set "
                       "friction='120 N', or none; what is not in the config, diagnose has to "
                       "find"))
-    turns = any(entry.key == "motion" and entry.value == "rotary" for entry in entries)
-    outside = "" if answers.lacks("zero") else no_such_zero(answers, seen, turns)
+    outside = "" if answers.lacks("zero") else no_such_zero(answers, seen, _rotary(entries))
     if outside and answers.rig.get("zero") in _SHARES:
         raise InputError(f"--set zero={answers.rig['zero']}: {outside}")
     return [*(one for one in found if one[0] != "zero"), ("zero", outside)] if outside else found
+
+
+def _rotary(entries: list[Entry]) -> bool:
+    return any(entry.key == "motion" and entry.value == "rotary" for entry in entries)
 
 
 GRAVITY = 9.81  # m/s²
@@ -381,16 +370,11 @@ GRAVITY = 9.81  # m/s²
 def effects_of(answers: Answers, entries: list[Entry], seen: Seen) -> list[Entry]:
     """Return the lines of ``effects``: load, valves, friction, drive, volumes that change with x.
 
-    F = A1 p1 - A2 p2 is of absolute pressures, so what the open air does to the rod's own end,
-    p_a (A1 - A2) against growing x, is a load, whatever zero the sensors have.
-
-    Raises
-    ------
-    InputError
-        If the load is one that a rotary actuator has not, or valves or volumes contradict
-        themselves.
+    F = A1 p1 - A2 p2 is of absolute pressures, so what the open air does to the rod's own end, p_a
+    (A1 - A2) against growing x, is a load, whatever zero the sensors have.  Raises InputError if
+    the load is one that a rotary actuator has not, or valves or volumes contradict themselves.
     """
-    turns = any(entry.key == "motion" and entry.value == "rotary" for entry in entries)
+    turns = _rotary(entries)
     if turns and answers.rig.get("load") == "gravity":
         raise InputError("--set load=gravity: expected none, spring or unknown of a rotary "
                          "actuator, since the torque of a weight changes with the angle; unknown "

@@ -46,10 +46,7 @@ class Layout:
 def layout_of(path: Path) -> Layout:
     """Find out how a CSV is laid out.
 
-    Raises
-    ------
-    InputError
-        If no rows of numbers are found.
+    Raises InputError if no rows of numbers are found.
     """
     lines = first_lines(path, encoding_of(path), most=LOOKED_AT, blank=True)
     best = None
@@ -147,10 +144,7 @@ class Source:
 def source_of(path: Path) -> Source:
     """Return the columns of a recording.
 
-    Raises
-    ------
-    InputError
-        If it is none that can be read.
+    Raises InputError if it is none that can be read.
     """
     if not path.exists():
         raise InputError(f"{path}: expected a CSV file, a MAT file or a bag, found nothing")

@@ -65,12 +65,8 @@ PLATFORMS = (Platform("linux64", "x86_64-unknown-linux-gnu", "x86_64-linux-gnu.2
 def platforms_for(wanted: tuple[str, ...]) -> tuple[Platform, ...]:
     """Return the platforms by their folders; without any all that can be built for here.
 
-    All can with zig, Linux with a compiler of its own.
-
-    Raises
-    ------
-    InputError
-        If one that is wanted, or all, cannot be built for.
+    All can with zig, Linux with a compiler of its own.  Raises InputError if one that is wanted,
+    or all, cannot be built for.
     """
     known = {platform.folder: platform for platform in PLATFORMS}
     if importlib.util.find_spec("ziglang") is None:
@@ -155,10 +151,7 @@ def shared_library(platform: Platform, folder: Path, sources: list[Path]) -> byt
 
     ``folder`` : an empty one to work in.
 
-    Raises
-    ------
-    InputError
-        If the compiler fails: a full disk, a broken installation.
+    Raises InputError if the compiler fails: a full disk, a broken installation.
     """
     here = folder / platform.folder
     here.mkdir()
@@ -271,16 +264,13 @@ def description(model: Model, guid: str, identifier: str, start: float, paramete
 def fmu_of(model: Model, units: Mapping[str, str], wanted: tuple[str, ...] = ()) -> Exported:
     """Return the FMU of a config.
 
+    Raises InputError if a number of the rig is null, a delay is longer than the FMU remembers, or
+    there is no compiler.
+
     Parameters
     ----------
     units : unit of a linear rig -> that of this one.
     wanted : platforms (``linux64``, ``win64``); without any all that can be built for here.
-
-    Raises
-    ------
-    InputError
-        If a number of the rig is null, a delay is longer than the FMU remembers, or there is no
-        compiler.
     """
     model.require("an FMU")
     platforms = platforms_for(wanted)

@@ -154,10 +154,7 @@ def modelica_of(model: Model, units: Mapping[str, str]) -> Exported:
 
     ``units`` : unit of a linear rig -> that of this one.
 
-    Raises
-    ------
-    InputError
-        If a number of the rig is null.
+    Raises InputError if a number of the rig is null.
     """
     model.require("a Modelica model")
     settings = model.settings
@@ -173,14 +170,13 @@ def modelica_of(model: Model, units: Mapping[str, str]) -> Exported:
     adds: dict[str, list[str]] = {name: [] for name in CONTRIBUTIONS}
     variables: dict[str, str] = {}
     equations: list[str] = []
-    for name, values in model.effects.items():
-        if name in EFFECTS:
-            _add_effect(name, values, adds, variables, equations)
-    for name, values in model.own_terms.items():
-        _add_own(name, values, adds, variables, equations)
-        if turns(slot_for(values)) and "shaft_angle" not in variables:
-            variables["shaft_angle"] = "0"
-            equations = [*equations, "der(shaft_angle) = omega"]
+    for one in (*(_of_effect(name, values) for name, values in model.effects.items()
+                  if name in EFFECTS),
+                *(_of_own(name, values) for name, values in model.own_terms.items())):
+        for contribution, expression in one.adds.items():
+            adds[contribution].append(expression)
+        variables |= one.variables
+        equations += [line for line in one.equations if line not in equations]
     text = [f'model {model.identifier}',
             f'  "Electrohydraulic actuator, by eha_monitor {__version__}"',
             f"  // from {model.source}; {model.provenance}",
@@ -261,29 +257,28 @@ def _ports(closed: bool, slow: bool, units: Mapping[str, str]) -> list[str]:
     return lines
 
 
-def _add_effect(name: str, values: Mapping[str, float], adds: dict[str, list[str]],
-                variables: dict[str, str], equations: list[str]) -> None:
+def _of_effect(name: str, values: Mapping[str, float]) -> Written:
+    """Return an effect with the names of its parameters in the model."""
     one = written(name, values)
     places = {p.name: f"{name}_{p.name}" for p in CATALOGUE[name].parameters} | {"self": name}
-    for contribution, expression in one.adds.items():
-        adds[contribution].append(expression.format(**places))
-    variables |= {key.format(**places): begin for key, begin in one.variables.items()}
-    equations += [line.format(**places) for line in one.equations]
+    adds, variables = ({key.format(**places): text.format(**places) for key, text in part.items()}
+                       for part in (one.adds, one.variables))
+    return Written(adds, variables, tuple(line.format(**places) for line in one.equations))
 
 
-def _add_own(name: str, values: dict, adds: dict[str, list[str]], variables: dict[str, str],
-             equations: list[str]) -> None:
-    """Add a term of the rig's own; ``own_`` keeps its names apart from all others."""
+def _of_own(name: str, values: dict) -> Written:
+    """Return a term of the rig's own; ``own_`` keeps its names apart from all others."""
     name = f"own_{name}"
     if "expression" in values:
         own = {key for key in values if key not in ("adds", "expression")}
         text = _translated(ast.parse(values["expression"], mode="eval").body, name, own)
     else:
         text = f"({_table(values)}){_FACTORS[values['times']].format(scale=f'{name}_scale')}"
-    variables[f"{name}_value"] = ""
-    equations.append(f"{name}_value = {text}")
-    for contribution, sign in _OWN[values["adds"]].items():
-        adds[contribution].append(f"({sign}{name}_value)")
+    shaft = turns(slot_for(values))
+    return Written({contribution: f"({sign}{name}_value)"
+                    for contribution, sign in _OWN[values["adds"]].items()},
+                   {f"{name}_value": ""} | ({"shaft_angle": "0"} if shaft else {}),
+                   (f"{name}_value = {text}", *(["der(shaft_angle) = omega"] * shaft)))
 
 
 def _translated(node: ast.AST, name: str, own: set[str]) -> str:

@@ -47,6 +47,7 @@ BALANCES = {"B": "force", "beta_e": "flow"}  # of the least squares that determi
 WATCHED = (Watched("B", "viscous_damping", "viscous damping", "N·s/m"),
            Watched("beta_e", "bulk_modulus", "effective bulk modulus", "Pa"))
 ALARM_NAMES = tuple(f"{w.section}_{side}" for w in WATCHED for side in ("high", "low"))
+SECTIONS = {w.symbol: w.section for w in WATCHED}
 
 
 @dataclass(frozen=True)

@@ -15,14 +15,13 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import stdtr, stdtrit
 
-from eha_monitor.health.alarms import JUDGE_RATE, WATCHED, ParameterSeries, carried
+from eha_monitor.health.alarms import JUDGE_RATE, SECTIONS, ParameterSeries, carried
 from eha_monitor.indicators.laws import viscosity_factor
 from eha_monitor.settings.monitor import LIMITS, Settings, Thresholds
 
 UNLIKE = 0.01  # chance, over all recordings, at which one counts as unlike the others
 ERROR_SHARE = 0.1  # of the WARN rate, the rate of an ERROR
 SIDES = {"B": ("low", "high"), "beta_e": ("low",)}
-SECTIONS = {watched.symbol: watched.section for watched in WATCHED}
 NOMINAL = {"B": 600.0, "beta_e": 6e8}  # of the paper, which its limits are set around
 FARTHEST = math.log(1e3)  # a limit that lies farther off is none
 WIDE = 3.0  # times the mean: a limit farther off watches nothing and needs more recordings

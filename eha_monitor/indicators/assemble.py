@@ -29,36 +29,28 @@ UNSEEN = "the diagnosis does not identify the leakage beyond the configured valu
 
 @dataclass(frozen=True)
 class Evidence:
-    """What an estimate or a diagnosis found, as plain numbers.
+    """What an estimate or a diagnosis found, as plain numbers."""
 
-    Attributes
-    ----------
-    values : ``B``, ``beta_e``, ``leakage`` (C_T), ``pump_displacement``, and
-        ``<effect>.<parameter>`` of each named effect; SI.
-    covariance : (k, k) in their order.
-    assumed : effects that the config has and that were therefore not measured, with their
-        parameters; none that another law has taken the place of.
-    why : name of a value -> why it is not there; ``doubts``: why it is there and in doubt.
-    channels : that were recorded.
-    pressures : (m,) absolute pressures of both chambers at times spread over the recording, Pa;
-        empty where they were not measured.
-    temperature : of the oil, °C, or None; ``measured`` says whether a channel gave it, and
-        ``warmth`` the lowest and the highest of recordings that are too far apart for one.
-    diagnosed : whether effects were looked for; ``settled``: and what was found explains it.
-    """
-
+    # ``B``, ``beta_e``, ``leakage`` (C_T), ``pump_displacement``, and ``<effect>.<parameter>`` of
+    # each named effect; SI
     values: Mapping[str, float]
-    covariance: np.ndarray
+    covariance: np.ndarray  # (k, k) in their order
+    # effects that the config has and that were therefore not measured, with their parameters; none
+    # that another law has taken the place of
     assumed: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    # name of a value -> why it is not there, or why it is there and in doubt
     why: Mapping[str, str] = field(default_factory=dict)
     doubts: Mapping[str, str] = field(default_factory=dict)
-    channels: tuple[str, ...] = ()
+    channels: tuple[str, ...] = ()  # that were recorded
+    # (m,) absolute pressures of both chambers at times spread over the recording, Pa; empty where
+    # they were not measured
     pressures: np.ndarray = field(default_factory=lambda: np.empty(0))
-    temperature: float | None = None
-    measured: bool = False
+    temperature: float | None = None  # of the oil, °C, or None
+    measured: bool = False  # whether a channel gave it
+    # the lowest and the highest of recordings that are too far apart for one
     warmth: tuple[float, float] | None = None
-    diagnosed: bool = False
-    settled: bool = True
+    diagnosed: bool = False  # whether effects were looked for
+    settled: bool = True  # and what was found explains the recording
 
     def part(self, *names: str) -> tuple[dict[str, float], np.ndarray]:
         """Return those of the values that are there, and their covariance."""

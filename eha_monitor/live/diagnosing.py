@@ -14,7 +14,7 @@ import threading
 import time
 import weakref
 from collections import deque
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
@@ -418,9 +418,8 @@ def comparison_findings(answer: Answer | None, since: str, healthy: int, why: st
     return found
 
 
-def _parameters(tree: dict) -> list[Finding]:
-    """Return what the effects did to B and beta_e: before and after, each with deviation."""
-    found = []
+def _parameters(tree: dict) -> Iterator[Finding]:
+    """Yield what the effects did to B and beta_e: before and after, each with deviation."""
     for watched in WATCHED:
         before, after = (tree["parameters"][when].get(watched.symbol)
                          for when in ("before", "after"))
@@ -429,8 +428,7 @@ def _parameters(tree: dict) -> list[Finding]:
                  for one in (before, after) if one and None not in one.values()]
         if len(shown) == 2:
             words = f"{watched.words} reads {shown[0]} without, {shown[1]} with what was found"
-            found.append(Finding(watched.section, "OK", words, values))
-    return found
+            yield Finding(watched.section, "OK", words, values)
 
 
 def _number(name: str, value: dict | None) -> dict[str, float]:

@@ -34,7 +34,7 @@ from eha_monitor.estimation.results import (
 from eha_monitor.estimation.rig_model import RigModel, missing, model_for, moved_mass
 from eha_monitor.estimation.sensors import noise_levels
 from eha_monitor.live import checks
-from eha_monitor.live.ingest import BATCH, BUFFER_S, WARM_UP, Columns, Gathered, Grid
+from eha_monitor.live.ingest import BATCH, BUFFER_S, LONG_GAP_S, WARM_UP, Columns, Grid
 from eha_monitor.live.state import (
     Change,
     Checkpoints,
@@ -76,7 +76,8 @@ class LiveEstimator:
         self._hold = checks.LiveHold(self._given)
         self.settings = self._hold.settings
         self.dt = self.settings.rig.sample_time
-        self._gathered, self._grid = Gathered(), None
+        self._early: list[tuple[np.ndarray, Columns]] = []  # rows before there is a grid
+        self._grid = None
         self._state = LiveState(self.settings, checks.Handover(self.settings),
                                 checks.LiveModel(self.settings), list(NOISE_AGAIN_S))
         self._checkpoints = Checkpoints()
@@ -108,12 +109,23 @@ class LiveEstimator:
         if len(warm):
             self._temperature = float(warm[-1])
         if self._grid is None:
-            if self._gathered.warm(times, columns):
+            self._wait(times, columns)
+            if sum(len(part) for part, _ in self._early) >= WARM_UP:
                 self._start()
         elif not self._other_channels(columns):
             self._place(times, columns)
             if self._grid.buffer.end - self._state.taken >= BATCH + self._lag:
                 self._take()
+
+    def _wait(self, times: np.ndarray, columns: Columns) -> None:
+        """Let rows wait: without a model nothing is carried over a long gap."""
+        last = self._early[-1][0][-1] if self._early else times[0]
+        gaps = np.flatnonzero(np.diff(times, prepend=last) > LONG_GAP_S)
+        if len(gaps):
+            self._early.clear()
+            times = times[gaps[-1]:]
+            columns = {name: values[gaps[-1]:] for name, values in columns.items()}
+        self._early.append((times, columns))
 
     def _other_channels(self, columns: Columns) -> bool:
         """Begin anew where channels have come, to stay, that let a further stage run."""
@@ -164,7 +176,7 @@ class LiveEstimator:
     def withdraw(self, channel: str, since_s: float) -> None:
         """Take back what a channel gave from ``since_s`` on: it was no measurement."""
         if self._grid is None:
-            self._gathered.first()
+            self._early.clear()
             return
         row = max(round((since_s - self._grid.origin) / self.dt), 0)
         before = self._checkpoints.before(row)
@@ -179,7 +191,7 @@ class LiveEstimator:
 
     def _start(self) -> None:
         """Measure the sample time and the noise on the first rows, then take them."""
-        early = self._gathered.first()
+        early, self._early = self._early, []
         times = np.concatenate([part for part, _ in early])
         spacing = float(np.median(np.diff(times)))
         if not abs(spacing / self.dt - 1.0) < 0.05 and spacing > 0:

@@ -16,32 +16,6 @@ EXTRA = ("b", "b_variance", "nu_one", "sd_one", "nu_two", "sd_two", "kept")
 Columns = dict[str, np.ndarray]
 
 
-class Gathered:
-    """Rows of the first moments, which wait."""
-
-    def __init__(self):
-        self._early: list[tuple[np.ndarray, Columns]] = []
-
-    def warm(self, times: np.ndarray, columns: Columns) -> bool:
-        """Let rows of the first moments wait; True where they are enough to start.
-
-        Without a model nothing is carried over a long gap.
-        """
-        last = self._early[-1][0][-1] if self._early else times[0]
-        gaps = np.flatnonzero(np.diff(times, prepend=last) > LONG_GAP_S)
-        if len(gaps):
-            self._early.clear()
-            times = times[gaps[-1]:]
-            columns = {name: values[gaps[-1]:] for name, values in columns.items()}
-        self._early.append((times, columns))
-        return sum(len(part) for part, _ in self._early) >= WARM_UP
-
-    def first(self) -> list[tuple[np.ndarray, Columns]]:
-        """Hand out the rows of the first moments."""
-        early, self._early = self._early, []
-        return early
-
-
 class LiveBuffer:
     """Rows ``first`` to ``end`` (absolute numbers) of the grid, NaN where nothing came.
 

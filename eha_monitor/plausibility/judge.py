@@ -55,16 +55,10 @@ class Explanation:
 
 @dataclass(frozen=True)
 class Plausibility:
-    """What the channels say about the config.
+    """What the channels say about the config."""
 
-    Attributes
-    ----------
-    findings : most important first.
-    blocking : no answer would be meaningful while they stand.
-    """
-
-    findings: tuple[ChannelFinding, ...] = ()
-    blocking: bool = False
+    findings: tuple[ChannelFinding, ...] = ()  # most important first
+    blocking: bool = False  # no answer would be meaningful while they stand
 
     @property
     def message(self) -> str:
@@ -322,10 +316,7 @@ def rounded(value: float) -> float:
 def corrected(settings: Settings, findings: tuple[ChannelFinding, ...]) -> Settings:
     """Return the settings with what the findings correct.
 
-    Raises
-    ------
-    InputError
-        If a corrected value is out of the range of its key.
+    Raises InputError if a corrected value is out of the range of its key.
     """
     tree = settings.model_dump()
     for finding in findings:

@@ -5,6 +5,7 @@ changes one map line that everybody writes (a unit, a swap) is everyday; a numbe
 is off by a power of ten is rarer; one that only an odd rig would explain is rarest.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from itertools import combinations, product
 from math import log, log10, pi
@@ -47,30 +48,18 @@ FITTED = ((("mass",), "mass", "inertia", 1.0), (("area_1", "area_2"), "the areas
 
 @dataclass(frozen=True)
 class Mistake:
-    """One mistake; applied to a reading it gives the reading that was meant.
+    """One mistake; applied to a reading it gives the reading that was meant."""
 
-    Attributes
-    ----------
-    kind : of the finding.
-    names : channels or keys of the rig.
-    claim : what it looks like, the beginning of the finding's sentence.
-    prior : log probability against none.
-    swap : two roles whose channels are exchanged.
-    factors : role -> meant value over the value as given.
-    numbers : key of the rig -> meant value over the value as given.
-    clock : true seconds for one recorded second.
-    without : role whose channel is something else.
-    """
-
-    kind: Kind
-    names: tuple[str, ...]
-    claim: str
-    prior: float
-    swap: tuple[str, str] | None = None
+    kind: Kind  # of the finding
+    names: tuple[str, ...]  # channels or keys of the rig
+    claim: str  # what it looks like, the beginning of the finding's sentence
+    prior: float  # log probability against none
+    swap: tuple[str, str] | None = None  # two roles whose channels are exchanged
+    # role, and key of the rig -> meant value over the value as given
     factors: dict[str, float] = field(default_factory=dict)
     numbers: dict[str, float] = field(default_factory=dict)
-    clock: float = 1.0
-    without: str = ""
+    clock: float = 1.0  # true seconds for one recorded second
+    without: str = ""  # role whose channel is something else
 
     def applied(self, reading: Reading) -> Reading:
         """Return the reading without this mistake."""
@@ -163,7 +152,7 @@ def mistakes_for(reading: Reading, given: tuple[Check, ...]) -> list[Mistake]:
     found += [Mistake("swapped", (role,), f"{role} does not match this motion; it may be the "
                                           "wrong column or topic", OTHER_COLUMN, without=role)
               for role in has]
-    found += number_mistakes(reading) + fitted_numbers(reading, given)
+    found += [*number_mistakes(reading), *fitted_numbers(reading, given)]
     found += [Mistake("unit", ("time",), f"the time looks like {unit}, not seconds", EVERYDAY,
                       clock=factor) for unit, factor in TIMES.items()]
     found += [Mistake("unit", ("time",), f"the time is {1 / factor:g} times too long"
@@ -172,9 +161,8 @@ def mistakes_for(reading: Reading, given: tuple[Check, ...]) -> list[Mistake]:
     return found
 
 
-def number_mistakes(reading: Reading) -> list[Mistake]:
-    """Return what can be wrong by a power of ten, or in its unit, among the rig's numbers."""
-    found = []
+def number_mistakes(reading: Reading) -> Iterator[Mistake]:
+    """Yield what can be wrong by a power of ten, or in its unit, among the rig's numbers."""
     for keys, name, others in NUMBERS:
         if any(not reading.rig[key] for key in keys):
             continue
@@ -183,16 +171,13 @@ def number_mistakes(reading: Reading) -> list[Mistake]:
         values = " and ".join(f"{reading.rig[key]:.3g}" for key in dict.fromkeys(keys))
         for factor, words in (*((factor, wrong_size(factor)) for factor in TENS),
                               *((factor, f"wrong: {words}") for words, factor in others.items())):
-            found.append(Mistake("unit", keys, f"{name} ({values} in the config) {looks} {words}",
-                                 prior + DECADE * abs(log10(factor)),
-                                 numbers=dict.fromkeys(keys, factor)))
-    return found
+            yield Mistake("unit", keys, f"{name} ({values} in the config) {looks} {words}",
+                          prior + DECADE * abs(log10(factor)), numbers=dict.fromkeys(keys, factor))
 
 
-def fitted_numbers(reading: Reading, given: tuple[Check, ...]) -> list[Mistake]:
-    """Return each number of the rig that is off by just what one relation shows."""
+def fitted_numbers(reading: Reading, given: tuple[Check, ...]) -> Iterator[Mistake]:
+    """Yield each number of the rig that is off by just what one relation shows."""
     ratios = {check.name: check.ratio for check in given if check.ratio is not None}
-    found = []
     for keys, name, relation, power in FITTED:
         off = ratios.get(relation, 0.0)
         if off <= 0 or any(not reading.rig[key] for key in keys):
@@ -203,10 +188,8 @@ def fitted_numbers(reading: Reading, given: tuple[Check, ...]) -> list[Mistake]:
         values = " and ".join(f"{reading.rig[key]:.3g}" for key in keys)
         shown = " and ".join(f"{factor * reading.rig[key]:.3g}" for key in keys)
         verb = "do not" if len(keys) > 1 else "does not"
-        found.append(Mistake("unit", keys, f"{name} ({values} in the config) {verb} fit, the "
-                             f"recording shows about {shown}", RAREST,
-                             numbers=dict.fromkeys(keys, factor)))
-    return found
+        yield Mistake("unit", keys, f"{name} ({values} in the config) {verb} fit, the recording "
+                      f"shows about {shown}", RAREST, numbers=dict.fromkeys(keys, factor))
 
 
 def units_of(role: str, rotary: bool) -> tuple[dict[str, float], str]:

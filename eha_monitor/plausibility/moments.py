@@ -50,29 +50,18 @@ class Level:
 
 @dataclass(frozen=True)
 class Moments:
-    """What the relations need to know of a recording.
+    """What the relations need to know of a recording."""
 
-    Attributes
-    ----------
-    place : (channel, order of derivative or ``DIRECTION``) -> column; only channels that vary.
-    gram : (m, m) mean products of the columns, each centred and divided by ``scale``.
-    scale : (m,) standard deviation of each column, SI.
-    mean : (m,) mean of each column over its standard deviation; 0 for positions, whose zero is
-        anywhere.
-    noise : (m,) share of each column's variance that is the sensor's white noise.
-    levels : channel -> :class:`Level` of the raw samples.
-    same : pairs of channels that hold the same numbers.
-    sample_time : s.
-    """
-
+    # (channel, order of derivative or ``DIRECTION``) -> column; only channels that vary
     place: dict[tuple[str, int], int]
-    gram: np.ndarray
-    scale: np.ndarray
+    gram: np.ndarray  # (m, m) mean products of the columns, each centred and divided by ``scale``
+    scale: np.ndarray  # (m,) standard deviation of each column, SI
+    # (m,) mean of each column over its standard deviation; 0 for positions, whose zero is anywhere
     mean: np.ndarray
-    noise: np.ndarray
-    levels: dict[str, Level]
-    same: tuple[tuple[str, str], ...]
-    sample_time: float
+    noise: np.ndarray  # (m,) share of each column's variance that is the sensor's white noise
+    levels: dict[str, Level]  # by channel, of the raw samples
+    same: tuple[tuple[str, str], ...]  # pairs of channels that hold the same numbers
+    sample_time: float  # s
 
 
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")  # of values that are no signals
@@ -86,7 +75,11 @@ def moments_of(recording: Recording) -> Moments:
              if name in levels and name != "temperature" and levels[name].span > 0
              and np.isfinite(values[start:stop]).mean() > PRESENT} \
         if stop - start >= SHORTEST else {}
-    piece = {name: filled(values.copy()) for name, values in while_all_are_there(piece).items()}
+    # Live, topics come one after another; held at its first value, a late channel would
+    # contradict the others.
+    first, stop = common_span(piece)
+    piece = {name: filled(values[first:stop].copy()) for name, values in piece.items()
+             } if stop - first >= SHORTEST else {}
     same = tuple((one, other) for i, one in enumerate(piece) for other in list(piece)[i + 1:]
                  if same_numbers(one, piece[one], other, piece[other], levels[one].span))
     place: dict[tuple[str, int], int] = {}
@@ -114,17 +107,6 @@ def moments_of(recording: Recording) -> Moments:
     unit = table / size[:, None]
     return Moments(place, unit @ unit.T / max(table.shape[1], 1), scale, mean / size,
                    np.array(noise) / size**2, levels, same, recording.sample_time)
-
-
-def while_all_are_there(piece: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Return the samples (n,) from where the last channel begins to where the first one ends.
-
-    Live, topics come one after another; held at its first value, a late channel would contradict
-    the others.
-    """
-    first, stop = common_span(piece)
-    return {name: values[first:stop] for name, values in piece.items()
-            } if stop - first >= SHORTEST else {}
 
 
 def common_span(channels: dict[str, np.ndarray]) -> tuple[int, int]:

@@ -38,24 +38,16 @@ class Source:
 
 @dataclass(frozen=True)
 class Reading:
-    """A recording and a rig as one hypothesis reads them.
-
-    Attributes
-    ----------
-    roles : role (``x``, ``p1``, ...) -> where it is read; a role that is absent is not recorded.
-    rig : numbers of the rig by key, SI; None where it has none.
-    said : keys of the rig that somebody wrote; the others are defaults and bind nobody.
-    clock : true seconds for one recorded second.
-    rotary : x is an angle.
-    units : role -> unit that the config gives its column or topic, SI; absent where it gives none.
-    """
+    """A recording and a rig as one hypothesis reads them."""
 
     moments: Moments
-    roles: dict[str, Source]
-    rig: dict[str, float | None]
+    roles: dict[str, Source]  # role (``x``, ``p1``, ...) -> where it is read; those recorded
+    rig: dict[str, float | None]  # numbers of the rig by key, SI; None where it has none
+    # keys of the rig that somebody wrote; the others are defaults and bind nobody
     said: frozenset[str] = frozenset()
-    clock: float = 1.0
-    rotary: bool = False
+    clock: float = 1.0  # true seconds for one recorded second
+    rotary: bool = False  # x is an angle
+    # role -> unit that the config gives its column or topic, SI; absent where it gives none
     units: dict[str, float] = field(default_factory=dict)
 
     def has(self, *roles: str) -> bool:
@@ -177,26 +169,16 @@ class Phrase:
 
 @dataclass(frozen=True)
 class Check:
-    """One relation under one reading.
+    """One relation under one reading."""
 
-    Attributes
-    ----------
-    name : of the relation.
-    penalty : log units that it costs to believe the reading, for the relation's sign and size.
-    fit : log units for what it leaves unexplained; it distinguishes readings, and says little
-        by itself.  None where another check of the same relation has it.
-    size : what the relation shows, in words.
-    ratio : what should be 1, where the relation has such a thing.
-    sign : the same where its sign is the news; None for a relation without one.
-    reversed : the sign is wrong.
-    """
-
-    name: str
-    penalty: float
-    size: Phrase
-    sign: Phrase | None = None
-    reversed: bool = False
-    ratio: float | None = None
+    name: str  # of the relation
+    penalty: float  # log units that it costs to believe the reading, for its sign and size
+    size: Phrase  # what the relation shows, in words
+    sign: Phrase | None = None  # the same where its sign is the news; None without one
+    reversed: bool = False  # the sign is wrong
+    ratio: float | None = None  # what should be 1, where the relation has such a thing
+    # log units for what it leaves unexplained; it distinguishes readings, and says little by
+    # itself; None where another check of the same relation has it
     fit: float | None = None
 
     def phrase(self, by_sign: bool) -> Phrase:
@@ -248,14 +230,13 @@ def driving_force(reading: Reading) -> np.ndarray | None:
     return reading.column("force") if reading.has("force") else None
 
 
-def force_balance(reading: Reading) -> list[Check] | None:
+def force_balance(reading: Reading) -> Iterator[Check]:
     """M x'' = A1 p1 - A2 p2 - B x' - F_c sgn x' - k x: the inertia, and what friction takes."""
     force = driving_force(reading) if reading.has("x") else None
     if force is None:
-        return None
+        return
     name = "pressure force" if reading.has("p1", "p2") else "force"
     x, v, a = (reading.column("x", order) for order in range(3))
-    found = []
     if inertia := ratio(reading, force, a, v, x, reading.column("x", DIRECTION)):
         mass = reading.rig["mass"]
         unit = "kg·m²" if reading.rotary else "kg"
@@ -264,25 +245,24 @@ def force_balance(reading: Reading) -> list[Check] | None:
         # times too large, and backwards, in a stroke that hardly accelerates.
         theirs = (inertia.slope > mass and inertia.rho**2 < 0.5) or inertia.slope < -NOTHING * mass
         penalty = 0.0 if theirs else cost(inertia.slope / mass, inertia.rho, SPREAD["mass"])
-        found.append(Check("inertia", penalty, Phrase(
+        yield Check("inertia", penalty, Phrase(
             f"{name} over acceleration is a mass of {figure(inertia.slope)} {unit} where the "
             f"config says {figure(mass)}", f"{figure(inertia.slope)} {unit}"), Phrase(
             f"{name} and acceleration have correlation {inertia.rho:.2f}",
-            f"{inertia.rho:+.2f}"), inertia.rho < 0, inertia.slope / mass))
+            f"{inertia.rho:+.2f}"), inertia.rho < 0, inertia.slope / mass)
     if friction := ratio(reading, force, v, a, x):
         nominal = reading.rig["viscous_damping"] or friction.slope
         guessed = "damping" if "viscous_damping" in reading.said else "guessed"
         penalty = cost(friction.slope / nominal if nominal else 1.0, friction.rho, SPREAD[guessed])
-        found.append(Check("friction", penalty, Phrase(
+        yield Check("friction", penalty, Phrase(
             f"{name} over velocity is a damping of {figure(friction.slope)} where the config says "
             f"{figure(nominal)}", f"{figure(friction.slope)}"), Phrase(
             f"{name} and velocity have correlation {friction.rho:.2f}",
-            f"{friction.rho:+.2f}"), friction.rho < 0))
+            f"{friction.rho:+.2f}"), friction.rho < 0)
     if explained := inertia or friction:
-        found.append(Check("force", 0.0, Phrase(
+        yield Check("force", 0.0, Phrase(
             f"the motion explains {100 * explained.share:.0f} % of the {name}",
-            f"{100 * explained.share:.0f} %"), fit=unexplained(explained.share)))
-    return found
+            f"{100 * explained.share:.0f} %"), fit=unexplained(explained.share))
 
 
 def figure(value: float) -> str:
@@ -346,24 +326,23 @@ def drive(reading: Reading) -> Check | None:
     return slope_check("drive", found, "the pump's speed", "K_pos (x_d - x)")
 
 
-def tracking(reading: Reading) -> list[Check] | None:
+def tracking(reading: Reading) -> Iterator[Check]:
     """x_d = x + lag * v: the piston follows its command, later, at the same scale."""
     if not reading.has("x", "x_d"):
-        return None
+        return
     x, v, a = (reading.column("x", order) for order in range(3))
     demanded = reading.column("x_d")
-    follows = slope_check("tracking", ratio(reading, demanded, x, v, a), "x_d", "x")
-    found = [follows] if follows else []
+    if follows := slope_check("tracking", ratio(reading, demanded, x, v, a), "x_d", "x"):
+        yield follows
     behind = ratio(reading, demanded, v, x, a)
     if behind is not None and behind.share > 0.5:
         # A lag that is a small part of the motion may well be a feed-forward's.
         part = abs(behind.slope) * sqrt(v @ reading.moments.gram @ v) / max(
             sqrt(x @ reading.moments.gram @ x), 1e-300)
         penalty = backwards(behind.rho) * min(part / SLIGHT, 1.0)
-        found.append(Check("lag", penalty, Phrase(
+        yield Check("lag", penalty, Phrase(
             f"x is ahead of x_d by {figure(-1e3 * behind.slope)} ms",
-            f"{figure(1e3 * behind.slope)} ms behind")))
-    return found
+            f"{figure(1e3 * behind.slope)} ms behind"))
 
 
 def stiffness(reading: Reading) -> Check | None:
@@ -436,9 +415,8 @@ def both_forces(reading: Reading) -> Check | None:
     return slope_check("both_forces", found, "the pressure force", "the measured one")
 
 
-def sizes(reading: Reading) -> list[Check]:
+def sizes(reading: Reading) -> Iterator[Check]:
     """Ranges in which the signals of a moving rig lie."""
-    found = []
     for role, source in reading.roles.items():
         span = (TURNED if reading.rotary else {}).get(role, SIZES.get(role))
         if span is None or not reading.has(role):
@@ -452,9 +430,8 @@ def sizes(reading: Reading) -> list[Check]:
             unit = CHANNEL_UNITS[role]
             shown = f"{figure(size)} {ROTARY.get(unit, unit) if reading.rotary else unit}"
             only = " only" if size < span[0] else ""
-            found.append(Check(f"size of {role}", odd(off, SPREAD["size"]),
-                               Phrase(f"{role} {kind} {shown}{only}", shown)))
-    return found
+            yield Check(f"size of {role}", odd(off, SPREAD["size"]),
+                        Phrase(f"{role} {kind} {shown}{only}", shown))
 
 
 def clock(reading: Reading) -> Check | None:
@@ -468,6 +445,6 @@ def clock(reading: Reading) -> Check | None:
         f"{figure(1e3 * said)} ms", f"{figure(1e3 * step)} ms"))
 
 
-RELATIONS: tuple[Callable[[Reading], Check | list[Check] | None], ...] = (
+RELATIONS: tuple[Callable[[Reading], Check | Iterator[Check] | None], ...] = (
     force_balance, flow_balance, drive, tracking, stiffness, stroke, charge, measured_speed,
     both_forces, sizes, clock)

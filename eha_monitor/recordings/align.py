@@ -21,6 +21,7 @@ def align(series: dict[str, tuple[Series, str]], settings: Settings, *, source: 
     """Put channels on one grid; gaps stay NaN, and what was repaired is said.
 
     The grid is that of ``x``, or of the channel with the most samples where there is no ``x``.
+    Raises InputError if the stamps are too sparse for a grid.
 
     Parameters
     ----------
@@ -28,11 +29,6 @@ def align(series: dict[str, tuple[Series, str]], settings: Settings, *, source: 
     settings : ``rig.sample_time`` is the sample time where the stamps agree within 5 %.
     source : file, for errors.
     losses : sentences to begin with.
-
-    Raises
-    ------
-    InputError
-        If the stamps are too sparse for a grid.
     """
     said = list(losses)
     series = {name: (within_range(found, name, topic, source, said), topic)

@@ -391,10 +391,7 @@ def _metadata(path: Path, losses: list[str]) -> tuple[list[str], int | None]:
 def topics(path: str | Path) -> dict[str, Topic]:
     """Return the topics of a bag that hold messages, by name.
 
-    Raises
-    ------
-    InputError
-        If there is no bag.
+    Raises InputError if there is no bag.
     """
     bag = Bag(path)
     counts: Counter[str] = Counter()
@@ -412,13 +409,8 @@ def topics(path: str | Path) -> dict[str, Topic]:
 def iter_raw(path: str | Path) -> Iterator[tuple[str, str, int, bytes]]:
     """Yield (topic, message type, log time in ns, serialised message) in order of time.
 
-    The order holds within each chunk; chunks follow one another as they were written.  A
-    truncated bag simply ends.
-
-    Raises
-    ------
-    InputError
-        If there is no bag.
+    The order holds within each chunk; chunks follow one another as they were written.  A truncated
+    bag simply ends.  Raises InputError if there is no bag.
     """
     unpack = zstandard.ZstdDecompressor()
     for file, block in Bag(path).blocks():

@@ -151,26 +151,16 @@ COMPRESSIONS = {"zstd": CompressionType.ZSTD, "lz4": CompressionType.LZ4,
                 "none": CompressionType.NONE}
 
 
-def offered_qos(latched: bool) -> list[Qos]:
-    """Return the QoS that a recorded topic declares: reliable, transient local if latched."""
-    return [Qos(QosHistory.KEEP_LAST, 10, QosReliability.RELIABLE,
-                QosDurability.TRANSIENT_LOCAL if latched else QosDurability.VOLATILE,
-                FOREVER, FOREVER, QosLiveliness.AUTOMATIC, FOREVER, False)]
-
-
 def check_bag_target(path: str | Path, overwrite: bool) -> None:
     """Refuse a place for a new bag where something else than a bag would be lost.
+
+    Raises InputError if there is anything else, or a bag without ``overwrite``.
 
     Parameters
     ----------
     path : folder or ``.mcap`` file that is going to be written.
     overwrite : whether a bag that is there may be replaced: a folder of metadata.yaml and .mcap
         files and nothing else, or a file whose name ends in ``.mcap``.
-
-    Raises
-    ------
-    InputError
-        If there is anything else, or a bag without ``overwrite``.
     """
     target = Path(path)
     try:
@@ -199,25 +189,19 @@ def _is_bag_folder(folder: Path) -> bool:
 
 @dataclass(frozen=True)
 class TopicType:
-    """What a bag declares of a topic.
-
-    Without a definition, the one of ROS 2 Jazzy is taken; ``qos`` is YAML text as rosbag2
-    writes it.
-    """
+    """What a bag declares of a topic; the type is one of ROS 2 Jazzy."""
 
     msgtype: str
     latched: bool = False
-    definition: str = ""
-    encoding: str = "ros2msg"
-    qos: str = ""
 
 
 class BagWriter:
     """Writes serialised messages to a bag; a context manager.
 
-    The bag grows under a temporary name next to the target and is renamed when it is closed.
-    After a crash or an exception the temporary file stays: what was written up to the last
-    chunk can be read as a truncated bag.
+    The bag grows under a temporary name next to the target and is renamed when it is closed. After
+    a crash or an exception the temporary file stays: what was written up to the last chunk can be
+    read as a truncated bag.  Raises InputError if the target exists or cannot be written, or a
+    message type is not known.
 
     Parameters
     ----------
@@ -226,11 +210,6 @@ class BagWriter:
     topics : name -> message type, or :class:`TopicType`; more may follow by :meth:`add_topic`.
     compression : ``zstd``, ``lz4`` or ``none``, chunk by chunk.
     overwrite : replace an existing bag.
-
-    Raises
-    ------
-    InputError
-        If the target exists or cannot be written, or a message type is not known.
     """
 
     def __init__(self, path: str | Path, topics: dict[str, str | TopicType], *,
@@ -283,27 +262,26 @@ class BagWriter:
         if topic in self._ids:
             return
         kind = TopicType(kind) if isinstance(kind, str) else kind
-        digest, definition = "", kind.definition
-        if not definition:
-            self._store = self._store or get_typestore(Stores.ROS2_JAZZY)
-            if kind.msgtype not in self._store.fielddefs:
-                raise InputError(f"{self.path}: {topic}: message type {kind.msgtype} is not "
-                                 "known, expected one of ROS 2 Jazzy or a definition")
-            definition = self._store.generate_msgdef(kind.msgtype, ros_version=2)[0]
-            digest = self._store.hash_rihs01(kind.msgtype)
-        profiles = dump_qos_v9(offered_qos(kind.latched))
+        self._store = self._store or get_typestore(Stores.ROS2_JAZZY)
+        if kind.msgtype not in self._store.fielddefs:
+            raise InputError(f"{self.path}: {topic}: message type {kind.msgtype} is not "
+                             "known, expected one of ROS 2 Jazzy")
+        definition = self._store.generate_msgdef(kind.msgtype, ros_version=2)[0]
+        digest = self._store.hash_rihs01(kind.msgtype)
         # rosbags drops a topic whose QoS differs between file and metadata: one source for both.
-        qos = kind.qos or yaml_text(profiles).strip()
+        durability = QosDurability.TRANSIENT_LOCAL if kind.latched else QosDurability.VOLATILE
+        profiles = dump_qos_v9([Qos(QosHistory.KEEP_LAST, 10, QosReliability.RELIABLE, durability,
+                                    FOREVER, FOREVER, QosLiveliness.AUTOMATIC, FOREVER, False)])
         if kind.msgtype not in self._schemas:
             self._schemas[kind.msgtype] = self._writer.register_schema(
-                kind.msgtype, kind.encoding, definition.encode())
+                kind.msgtype, "ros2msg", definition.encode())
         self._ids[topic] = self._writer.register_channel(
             topic, "cdr", self._schemas[kind.msgtype],
-            {"offered_qos_profiles": qos, "topic_type_hash": digest})
+            {"offered_qos_profiles": yaml_text(profiles).strip(), "topic_type_hash": digest})
         self.counts[topic] = 0
         self._declared[topic] = {
             "name": topic, "type": kind.msgtype, "serialization_format": "cdr",
-            "offered_qos_profiles": kind.qos or profiles, "type_description_hash": digest}
+            "offered_qos_profiles": profiles, "type_description_hash": digest}
 
     def write_raw(self, topic: str, stamp_ns: int, data: bytes) -> None:
         """Append one serialised message; ``stamp_ns`` is its log time."""
@@ -314,10 +292,7 @@ class BagWriter:
     def write_many(self, channels: dict[str, tuple[np.ndarray, np.ndarray]]) -> None:
         """Append messages of topics: rising log times (m,) ns and messages (m, length) uint8.
 
-        Raises
-        ------
-        InputError
-            If the disk takes no more.
+        Raises InputError if the disk takes no more.
         """
         try:
             self._writer.add_messages([Messages(self._ids[topic], times, data)

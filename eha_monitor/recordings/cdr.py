@@ -75,10 +75,7 @@ class Layout:
 def steps_of(path: str) -> list[tuple[str, int | None]]:
     """Split ``pose.covariance[3].x`` into (("pose", None), ("covariance", 3), ("x", None)).
 
-    Raises
-    ------
-    ValueError
-        If it is no field path.
+    Raises ValueError if it is no field path.
     """
     steps = []
     for part in path.split("."):
@@ -132,10 +129,8 @@ def missing_field(types: dict, msgtype: str, want: Want) -> str | None:
 def locate(raw: bytes, types: dict, msgtype: str, wants: tuple[Want, ...]) -> Layout:
     """Walk one serialised message and return where the wanted numbers stand.
 
-    Raises
-    ------
-    ValueError, struct.error, KeyError, RecursionError
-        If the bytes are no message of this type.
+    Raises ValueError, struct.error, KeyError, RecursionError if the bytes are no message of this
+    type.
     """
     if raw[:2] not in (LITTLE_ENDIAN, BIG_ENDIAN):
         raise ValueError("not plain CDR")
@@ -231,12 +226,8 @@ class _Walker:
 def types_of(msgtype: str, encoding: str, definition: bytes) -> dict:
     """Return type name -> (constants, fields) for a message type.
 
-    The definition in the bag comes first; without one, the types of ROS 2 Jazzy.
-
-    Raises
-    ------
-    ValueError
-        If neither knows the type.
+    The definition in the bag comes first; without one, the types of ROS 2 Jazzy.  Raises
+    ValueError if neither knows the type.
     """
     text = definition.decode("utf-8", errors="replace")
     if text.strip():
@@ -274,9 +265,8 @@ class Series:
 
     def in_si(self, channel: Channel) -> "Series":
         """Return the channel in SI at the times at which its quantity was there."""
-        with np.errstate(over="ignore", invalid="ignore"):
-            values = channel.gain * self.values + channel.zero
-        return replace(self, stamp_ns=self.stamp_ns - round(channel.delay * 1e9), values=values)
+        return replace(self, stamp_ns=self.stamp_ns - round(channel.delay * 1e9),
+                       values=channel.in_si(self.values))
 
 
 class TopicReader:

@@ -34,10 +34,7 @@ def import_file(file: str | Path, map_file: str | Path, out: str | Path, *,
 
     ``map_file`` : config with a ``table`` section; its rig gives the sample time.
 
-    Raises
-    ------
-    InputError
-        One line: file or key, and what was expected.
+    Raises InputError, one line: file or key, and what was expected.
     """
     check_bag_target(out, overwrite)  # before the work, not after it
     settings = load_settings(map_file)
@@ -226,11 +223,8 @@ def read_columns(path: Path, table: Table, wanted: list[str]) -> dict[str, np.nd
     """Return the wanted columns, name -> (n,) float64; a cell that is no number is NaN.
 
     A time in dates or times of day is (n,) datetime64[ns], NaT where it is none.
-
-    Raises
-    ------
-    InputError
-        One line that names the file, and a missing column with those that there are.
+    Raises InputError, one line that names the file, and a missing column with those that there
+    are.
     """
     check_regular(path, "a CSV or MAT file")
     if not path.exists():

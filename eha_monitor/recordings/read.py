@@ -50,15 +50,12 @@ class _Lane:
 class Stream:
     """Takes what the topics' readers have collected, batch by batch.
 
+    Raises NotEvenError, by any method, once the stamps turn out not to be on an even grid.
+
     Parameters
     ----------
     settings : channel map and sample time.
     sources : tells which topic each channel is read from, as far as topics have come.
-
-    Raises
-    ------
-    NotEvenError
-        By any method, once the stamps turn out not to be on an even grid.
     """
 
     def __init__(self, settings: Settings, sources: Callable[[], Sources]):
@@ -129,8 +126,7 @@ class Stream:
             # Where fit_grid would have looked again: off the grid, or two on one place.
             if (lane.off > OUTLIERS * lane.count or (np.diff(index) <= 0).any()):
                 raise NotEvenError
-            with np.errstate(over="ignore", invalid="ignore"):
-                values = channel.gain * columns[self.begun[name][1]] + channel.zero
+            values = channel.in_si(columns[self.begun[name][1]])
             missing = int(np.count_nonzero(np.isnan(values)))
             if np.count_nonzero(np.abs(values) <= LARGEST[name]) + missing < len(values):
                 raise NotEvenError  # no measurement: how many there are in all decides
@@ -237,16 +233,13 @@ BATCH_BYTES = 8_000_000  # small chunks are joined, so that the work for each is
 def read_recording(path: str | Path, settings: Settings, streamed: bool = True) -> Recording:
     """Read a rosbag2 mcap bag through the channel map of the config.
 
+    Raises InputError if there is no bag, or none of its messages gives a channel.
+
     Parameters
     ----------
     path : folder with metadata.yaml and .mcap files, or one .mcap file; whole or cut off.
     settings : ``channels``, ``monitor.namespace`` and ``rig.sample_time`` are read.
     streamed : whether a long bag is put on its grid as it comes, where its stamps are even.
-
-    Raises
-    ------
-    InputError
-        If there is no bag, or none of its messages gives a channel.
     """
     try:
         return _read(path, settings, streamed)
@@ -274,12 +267,15 @@ def _read(path: str | Path, settings: Settings, streamed: bool) -> Recording:
     return recording
 
 
+def _want(channel: Channel) -> Want:
+    return Want(channel.field or "data", channel.name)
+
+
 class Collector:
     """Sorts the messages of a bag into the topics that channels may come from."""
 
     def __init__(self, settings: Settings, streamed: bool = False):
         self.settings, self.stream, self.may_stream = settings, None, streamed
-        self.channels_wanted = settings.channels
         self.namespace = "/" + settings.monitor.namespace.strip("/")
         self.readers: dict[str, TopicReader] = {}
         self.unfit: dict[str, str] = {}  # topic -> why no channel can be read from it
@@ -387,8 +383,8 @@ class Collector:
         return reader
 
     def _wants(self, topic: str) -> list[Want]:
-        return [Want(channel.field or "data", channel.name)
-                for channel in self.channels_wanted.values() if self._matches(channel, topic)]
+        return [_want(channel) for channel in self.settings.channels.values()
+                if self._matches(channel, topic)]
 
     def _matches(self, channel: Channel, topic: str) -> bool:
         if channel.topic.startswith("/"):
@@ -406,7 +402,7 @@ class Collector:
         found: Sources = {}
         unfit: list[str] = []
         absent: list[str] = []  # of topics that the config itself names
-        for name, channel in self.channels_wanted.items():
+        for name, channel in self.settings.channels.items():
             topic = self._topic(source, name, channel)
             if topic is None:
                 default = DEFAULT_CHANNELS.get(name)
@@ -415,7 +411,7 @@ class Collector:
                         self._matches(channel, one) for one in self.declared):
                     absent.append(f"channels.{name}: the bag has no topic {self._exact(channel)}")
                 continue
-            want = Want(channel.field or "data", channel.name)
+            want = _want(channel)
             reader = self.readers.get(topic)
             if reader is None or want not in reader.wants:
                 if topic in self.unfit and self.unfit[topic] not in unfit:
@@ -437,7 +433,7 @@ class Collector:
 
     def channels(self, found: Sources) -> dict[str, tuple[Series, str]]:
         """Return channel -> series in SI and its topic."""
-        return {name: (reader.series(want).in_si(self.channels_wanted[name]), reader.topic)
+        return {name: (reader.series(want).in_si(self.settings.channels[name]), reader.topic)
                 for name, (reader, want) in found.items()}
 
     def _topic(self, source: str, name: str, channel: Channel) -> str | None:
@@ -456,7 +452,7 @@ class Collector:
     def _nothing(self, source: str, unfit: list[str], losses: list[str]) -> str:
         if unfit:
             return f"{source}: no channel can be read: {unfit[0]}"
-        wanted = sorted({self._exact(c) for c in self.channels_wanted.values() if c.topic})
+        wanted = sorted({self._exact(c) for c in self.settings.channels.values() if c.topic})
         seen = sorted(self.topics_seen)
         if not seen:
             lost = f" ({losses[0]})" if losses else ""

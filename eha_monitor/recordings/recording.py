@@ -37,7 +37,8 @@ def within_limits(name: str, values: np.ndarray, time: np.ndarray, source: str
     """Return a channel with NaN for what is no measurement, and sentences about it.
 
     A few such values are left out; a channel that goes there and stays is refused, because what it
-    showed on the way there is no measurement either.
+    showed on the way there is no measurement either.  Raises InputError if the channel ran away:
+    it went beyond the limit and did not come back, or is there for more than 1 % of its numbers.
 
     Parameters
     ----------
@@ -45,12 +46,6 @@ def within_limits(name: str, values: np.ndarray, time: np.ndarray, source: str
     values : (n,) SI, NaN where nothing was measured.
     time : (n,) s, for the sentences.
     source : file (and topic), for errors.
-
-    Raises
-    ------
-    InputError
-        If the channel ran away: it went beyond the limit and did not come back, or is there for
-        more than 1 % of its numbers.
     """
     limit, unit = LIMITS.get(name, (np.inf, ""))
     finite = min(limit, np.finfo(float).max)

@@ -149,10 +149,8 @@ class ChannelWriter:
     def write(self, channels: dict[str, np.ndarray]) -> None:
         """Append rows; channel -> (m,) SI values.
 
-        Raises
-        ------
-        InputError
-            If a channel runs away; nothing is left of the bag then, nor after Ctrl-C.
+        Raises InputError if a channel runs away; nothing is left of the bag then, nor after
+        Ctrl-C.
         """
         rows = len(next(iter(channels.values())))
         time = np.arange(self.rows, self.rows + rows) * self.sample_time
@@ -164,9 +162,7 @@ class ChannelWriter:
             count = min(ROWS, rows - first)
             stamps = self.start_ns + np.round(
                 np.arange(self.rows, self.rows + count) * self.sample_time * 1e9).astype(np.int64)
-            if stamps[0] < 0 or stamps[-1] >= 2**31 * 1_000_000_000:
-                raise InputError(f"{self._path}: stamps from {stamps[0]} to {stamps[-1]} ns do "
-                                 "not fit a header")
+            _check_stamps(self._path, stamps[0], stamps[-1])
             self._bag.write_many({one.topic: (one.stamps, one.data) for one in messages_of(
                 part, stamps, self.namespace)})
             self.rows += count
@@ -179,39 +175,27 @@ class ChannelWriter:
         self._bag.close() if kind is None else self._bag.discard()
 
 
-def write_recording(path: str | Path, recording: Recording | dict[str, np.ndarray],
-                    settings: Settings, *, compression: str = "zstd", overwrite: bool = False,
-                    start_ns: int | None = None) -> Path:
-    """Write a recording as a bag.
+def _check_stamps(path: str | Path, first: int, last: int) -> None:
+    if first < 0 or last >= 2**31 * 1_000_000_000:
+        raise InputError(f"{path}: stamps from {first} to {last} ns do not fit a header")
 
-    Parameters
-    ----------
-    path : see :class:`bag_writer.BagWriter`.
-    recording : a recording, or channel -> (n,) SI values on the config's sample time.
-    settings : ``monitor.namespace``, and ``rig.sample_time`` where arrays are given.
-    start_ns : time of the first sample; by default the recording's own.
 
-    Raises
-    ------
-    InputError
-        If the target exists or cannot be written, or there is nothing to write.
+def write_recording(path: str | Path, recording: Recording, settings: Settings, *,
+                    overwrite: bool = False) -> Path:
+    """Write a recording as a bag; ``monitor.namespace`` of the settings is that of its topics.
+
+    ``path``, ``overwrite`` : see :class:`bag_writer.BagWriter`.
+
+    Raises InputError if the target exists or cannot be written, or there is nothing to write.
     """
-    if isinstance(recording, dict):
-        lengths = {len(values) for values in recording.values()}
-        if len(lengths) > 1:
-            raise InputError(f"{path}: channels differ in length: {sorted(lengths)}")
-        recording = Recording(settings.rig.sample_time, recording)
     if len(recording) == 0:
         raise InputError(f"{path}: nothing to write, the recording has no samples")
-    start = recording.start_ns if start_ns is None else start_ns
-    last = start + round((len(recording) - 1) * recording.sample_time * 1e9)
-    if start < 0 or last >= 2**31 * 1_000_000_000:
-        raise InputError(f"{path}: stamps from {start} to {last} ns do not fit a header")
+    start = recording.start_ns
+    _check_stamps(path, start, start + round((len(recording) - 1) * recording.sample_time * 1e9))
     names = tuple(name for name, values in recording.channels.items()
                   if any_of((values,), np.isfinite))
     with ChannelWriter(path, names, recording.sample_time, settings.monitor.namespace,
-                       compression=compression, overwrite=overwrite, start_ns=start,
-                       limited=False) as writer:
+                       overwrite=overwrite, start_ns=start, limited=False) as writer:
         for first in range(0, len(recording), ROWS):
             writer.write({name: recording.channels[name][first:first + ROWS] for name in names})
             let_go(*recording.channels.values())

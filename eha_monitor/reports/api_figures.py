@@ -134,16 +134,16 @@ def motion_figure(x_d: np.ndarray, shown: np.ndarray, bounds: Experiment, rig: R
              ((shown[:, _P1], "chamber 1", fig.STAGE_ONE),
               (shown[:, _P2], "chamber 2", fig.STAGE_TWO)))]
     panels = []
-    for i, (name, unit, limits, signals) in enumerate(rows):
+    for name, unit, limits, signals in rows:
         every = np.concatenate([np.array(limits), *(values for values, _, _ in signals)])
         panel = fig.Panel(fig.Side("time", Scale(1.0, "s"), limits=(0.0, float(time[-1]))),
                           fig.Side(name, fig.scale_of(every, unit),
                                    limits=fig.padded(float(every.min()), float(every.max()), 0.1)))
         for values, label, colour in signals:
             panel.signal(time, values, label, colour, width=1.3, legend=len(signals) > 1)
-        for at, told in zip(limits, ("limit" if not i else "", *limits), strict=False):
-            panel.add(fig.Level(at, told if isinstance(told, str) else "", fig.ERROR_LINE,
-                                dash="dash"))
+        for at in limits:
+            named = not panels and at == limits[0]  # once in the legend is enough
+            panel.add(fig.Level(at, "limit" if named else "", fig.ERROR_LINE, dash="dash"))
         panels.append(panel)
     return fig.Figure(tuple(panels), words, (1.0,) * len(panels),
                       (fig.WIDTH, _PLANNED_ROW * len(panels) + _FOOT))

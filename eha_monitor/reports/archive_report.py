@@ -343,7 +343,7 @@ def _effect_counts(rows: Sequence[dict]) -> Table:
 
 def phrases(row: dict) -> list[str]:
     """Return what was found in a row: wrong numbers of the rig first, then the effects."""
-    return [*map(rig_phrase, row.get("rig_data") or ()),
+    return [*(_phrase(one["statement"], one) for one in row.get("rig_data") or ()),
             *map(effect_phrase, row.get("effects") or ())]
 
 
@@ -359,12 +359,8 @@ def effect_phrase(effect: dict) -> str:
     return _phrase(effect_words(effect["name"]) + (f" ({values})" if values else ""), effect)
 
 
-def rig_phrase(number: dict) -> str:
-    """Return a wrong number of the rig with both values, and how probable it is."""
-    return _phrase(number["statement"], number)
-
-
 def _phrase(words: str, found: dict) -> str:
+    """Return what was found, how probable it is, and what else it may be."""
     chance = found.get("probability")
     others = rivals(found["indistinguishable_from"] or ())
     return (words + ("" if chance is None else f", {probability(chance)}")

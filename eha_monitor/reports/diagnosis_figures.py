@@ -8,8 +8,8 @@ from eha_monitor.mismatch.diagnosis import Agreement, Diagnosis, LearnedTerm, Ov
 from eha_monitor.mismatch.diagnosis import Curve as MissingTerm
 from eha_monitor.physics import signals
 from eha_monitor.physics.effects import CATALOGUE
-from eha_monitor.quantity import SYMBOLS
 from eha_monitor.reports import figure as fig
+from eha_monitor.reports.diagnosis_words import parameter_name
 from eha_monitor.reports.traces import LARGEST, robust_range, with_tamed
 from eha_monitor.words import PARAMETER_WORDS, effect_words, listed
 
@@ -183,7 +183,7 @@ def learned_words(term: LearnedTerm) -> str:
     return f"{what} for each unit of {_FACTORS[term.of[1]]}"
 
 
-def overlay_figure(overlay: Overlay, with_after: bool = True,
+def overlay_figure(overlay: Overlay, with_after: bool,
                    names: tuple[str, str] = ("model before", "model after")) -> fig.Figure | None:
     """Draw a signal with both models running free, and below what remains of it."""
     known = np.isfinite(overlay.measured) & np.isfinite(overlay.time)
@@ -229,8 +229,7 @@ def agreement_figure(name: str, parts: tuple[Agreement, ...], before: Value | No
     scale = fig.axis_scale(max(map(abs, ends)), known[0].unit)
     low, high = min(ends), max(ends)
     margin = 0.06 * (high - low) or 0.1 * abs(high) or 1.0
-    words = f"{PARAMETER_WORDS.get(name, name)} {SYMBOLS.get(name, name)}"
-    panel = fig.Panel(fig.Side(words, scale, limits=(low - margin, high + margin)),
+    panel = fig.Panel(fig.Side(parameter_name(name), scale, limits=(low - margin, high + margin)),
                       fig.Side(rows=tuple(row[0] for row in rows)))
     if _drawable(after):
         panel.add(fig.Level(after.value, "", AFTER, dash="dash", upright=True))

@@ -30,7 +30,7 @@ from eha_monitor.reports.page import (
 from eha_monitor.settings.monitor import Settings
 from eha_monitor.settings.own_terms import is_own
 from eha_monitor.settings.rig import Tolerance, corrected
-from eha_monitor.words import PARAMETER_WORDS, effect_words, listed
+from eha_monitor.words import effect_words, listed
 from eha_monitor.words import probability as probability_words
 
 _MOST_CURVES = 6
@@ -86,10 +86,10 @@ def _first_screen(found: Diagnosis, curves: list[diagnosis.Curve], settings: Set
     both = words.compared(found)
     shown = (found.before, found.after) if both else (found.before,)
     heads = ("parameter", *(words.model_names(found) if both else ("model of the config",)))
-    parameters = table(" | ".join(heads), [
-        (_symbol(name), *words.parameter_words(found, name)[:len(shown)])
+    parameters = table(heads, [
+        (words.parameter_name(name), *words.parameter_words(found, name)[:len(shown)])
         for name in dict.fromkeys((*found.before, *found.after))],
-        " | ".join(("", *["value"] * len(shown))), "summary")
+        ("", *["value"] * len(shown)), "summary")
     return FirstScreen(
         words.head_of(found)[0], words.head_words(found), words.message_words(found, True),
         tuple(f"{words.recordings_words(found)} {effect_words(effect.name)} is indistinguishable "
@@ -103,10 +103,6 @@ def _first_screen(found: Diagnosis, curves: list[diagnosis.Curve], settings: Set
         tuple(map(words.sentence, (*words.off_words(found), *found.health))),
         words.next_steps(found, shlex.join(found.bags) + words.own_config(settings.rig)),
         found.verdict, tuple(map(words.sentence, words.channels_in_parts(found)[0])))
-
-
-def _symbol(name: str) -> str:
-    return f"{PARAMETER_WORDS.get(name, name)} {SYMBOLS.get(name, name)}"
 
 
 def _curve_note(found: Diagnosis, curve: diagnosis.Curve) -> str:
@@ -162,10 +158,10 @@ def _pieces(found: Diagnosis) -> Table | None:
     if not found.pieces:
         return None
     names = list(found.pieces[0].values)
-    return table(" | ".join(("recording", "from, s", "to, s", *map(_symbol, names))), [
+    return table(("recording", "from, s", "to, s", *map(words.parameter_name, names)), [
         (one.bag, f"{one.start_s:.1f}", f"{one.stop_s:.1f}",
          *(words.value_words(one.values.get(name)) for name in names)) for one in found.pieces],
-        " | ".join(("", "number", "number", *["value"] * len(names))),
+        ("", "number", "number", *["value"] * len(names)),
         note="Each piece was fitted separately with the model of the config. The intervals "
              "between pieces, where the parameter changes, are left out.")
 
@@ -190,7 +186,7 @@ def _machine(found: Diagnosis) -> tuple[Table, Table] | None:
                   " |  | value | value",
                   note=f"Parameters that all {len(machine.sources)} recordings share, ± the "
                        "deviation of the value, and the spread from one recording to the next."),
-            table(" | ".join(heads), rows, " | ".join(("", *["value"] * (len(heads) - 1))),
+            table(heads, rows, ("", *["value"] * (len(heads) - 1)),
                   note="What belongs to each recording's setting, and the share of each balance "
                        "that stays unexplained when the fit leaves that recording out."))
 
@@ -266,11 +262,10 @@ def _location(found: Diagnosis) -> dict[str, Any] | None:
 def _fit(found: Diagnosis) -> Table:
     """Return the errors on unseen data."""
     heads, rows = words.fit_rows(found)
-    kinds = ("number", "value", "value", "number", "number")
-    return table(" | ".join(heads), rows, " | ".join(
-        kinds if words.compared(found) else ("number", "value", "number")), "errors",
-        "Root mean square." + (" Removed: of what exceeds the sensor noise."
-                               if words.compared(found) else ""))
+    both = words.compared(found)
+    return table(heads, rows, ("number", "value", *(["value", "number"] * both), "number"),
+                 "errors", "Root mean square."
+                 + " Removed: of what exceeds the sensor noise." * both)
 
 
 def _overlays(found: Diagnosis) -> list:

@@ -231,6 +231,11 @@ def not_in_config(found: Diagnosis) -> dict[str, str]:
     return {effect.name: why(effect) for effect in found.effects if effect.name not in written}
 
 
+def parameter_name(name: str) -> str:
+    """Return a parameter in words and as a symbol: ``viscous damping B``."""
+    return f"{PARAMETER_WORDS.get(name, name)} {SYMBOLS.get(name, name)}"
+
+
 def rivals(names: tuple[str, ...]) -> str:
     """Return what something is indistinguishable from; empty without any."""
     return listed([effect_words(name) for name in names], "or")

@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from eha_monitor.estimation.results import Estimate, JointResult, ParameterEstimate
-from eha_monitor.health.alarms import BALANCES, NO_LIMIT, WATCHED, Alarm
+from eha_monitor.health.alarms import BALANCES, NO_LIMIT, SECTIONS, Alarm
 from eha_monitor.indicators.indicator import Indicator
 from eha_monitor.quantity import FLOOR, ROTARY, SYMBOLS, number, quantity, share
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.reports import estimate_figures as figures
-from eha_monitor.reports.diagnosis_words import LOOK_FOR, own_config, sentence
+from eha_monitor.reports.diagnosis_words import LOOK_FOR, own_config, parameter_name, sentence
 from eha_monitor.reports.page import (
     Cell,
     FirstScreen,
@@ -29,25 +29,24 @@ from eha_monitor.reports.page import (
     table,
 )
 from eha_monitor.settings.channels import CHANNEL_UNITS
-from eha_monitor.words import PARAMETER_WORDS, listed
+from eha_monitor.words import listed
 
 if TYPE_CHECKING:
     from eha_monitor.estimation.joint import ObservabilityTable
 
 STATUS_WORDS = {"converged": "converged", "not_excited": "not excited by this motion",
                 "diverged": "diverged", "no_data": "no data"}
-_SECTIONS = {watched.symbol: watched.section for watched in WATCHED}
 # Alarm -> what is wrong, and where to look first.
 _ALARMS = {
     "viscous_damping_high": ("the viscous damping B is too high", LOOK_FOR["B", True]),
     "viscous_damping_low": ("the viscous damping B is too low", LOOK_FOR["B", False]),
     "bulk_modulus_high": ("the effective bulk modulus βe is too high", LOOK_FOR["beta_e", True]),
     "bulk_modulus_low": ("the effective bulk modulus βe is too low", LOOK_FOR["beta_e", False])}
-_STEPS = {"not_excited": "record a motion that excites {name} {symbol}: `eha-monitor advise "
-                         "{bag}` proposes one",
+_STEPS = {"not_excited": "record a motion that excites {name}: `eha-monitor advise {bag}` "
+                         "proposes one",
           "diverged": "check the channels and the rig data in the config: the estimate of {name} "
-                      "{symbol} diverged",
-          "no_data": "record what {name} {symbol} needs: {message}"}
+                      "diverged",
+          "no_data": "record what {name} needs: {message}"}
 
 
 @dataclass(frozen=True)
@@ -80,7 +79,7 @@ def verdict(estimate: Estimate, alarms: tuple[Alarm, ...]) -> Verdict:
         parts.append(_values(known, alarms))
     if unknown:
         parts.append("no estimate of " + " and ".join(
-            f"{PARAMETER_WORDS[p.name]} {SYMBOLS[p.name]} ({STATUS_WORDS.get(p.status, p.status)})"
+            f"{parameter_name(p.name)} ({STATUS_WORDS.get(p.status, p.status)})"
             for p in unknown))
     if estimate.model.status == "consistent":
         parts.append("the model fits the recording")
@@ -113,21 +112,23 @@ def _head(raised: list[Alarm], model: str, known: bool, open_questions: bool) ->
     return "ok", "Healthy"
 
 
+def _limited(alarms: tuple[Alarm, ...], name: str) -> list[Alarm]:
+    """Return the alarms of a parameter that have a limit."""
+    return [a for a in alarms if a.name.startswith(SECTIONS[name]) and a.message != NO_LIMIT]
+
+
 def _values(known: list[ParameterEstimate], alarms: tuple[Alarm, ...]) -> str:
     """Return the values that no alarm complains about, and whether one could have."""
-    def of(parameter: ParameterEstimate) -> list[Alarm]:
-        return [a for a in alarms if a.name.startswith(_SECTIONS[parameter.name])
-                and a.message != NO_LIMIT]
-
     def shown(some: list[ParameterEstimate]) -> str:
         return " and ".join(f"{SYMBOLS[p.name]} = {p.shown}" for p in some)
 
-    doubtful = [p for p in known if any(a.not_judged for a in of(p))]
+    doubtful = [p for p in known if any(a.not_judged for a in _limited(alarms, p.name))]
     sure = [p for p in known if p not in doubtful]
     parts = []
     if sure:
+        limited = all(_limited(alarms, p.name) for p in sure)
         parts.append(shown(sure) + (f" {'is' if len(sure) == 1 else 'are'} within the limits"
-                                    if all(map(of, sure)) else ", without configured limits"))
+                                    if limited else ", without configured limits"))
     if doubtful:
         parts.append(f"{shown(doubtful)} {'is' if len(doubtful) == 1 else 'are'} not judged")
     return "; ".join(parts)
@@ -154,11 +155,9 @@ def next_steps(estimate: Estimate, alarms: tuple[Alarm, ...]) -> tuple[str, ...]
     for p in estimate.parameters.values():
         if p.status in _STEPS:
             steps.append(_STEPS[p.status].format(
-                name=PARAMETER_WORDS[p.name], symbol=SYMBOLS[p.name], bag=bag + own,
+                name=parameter_name(p.name), bag=bag + own,
                 message=p.message.rstrip(".") or "its channels are missing"))
-    judged = {p.name for p in estimate.parameters.values() for a in alarms
-              if a.name.startswith(_SECTIONS[p.name]) and a.message != NO_LIMIT}
-    if without := [SYMBOLS[name] for name in estimate.parameters if name not in judged]:
+    if without := [SYMBOLS[name] for name in estimate.parameters if not _limited(alarms, name)]:
         steps.append(f"set limits for {listed(without)}: `eha-monitor thresholds` derives them "
                      "from healthy recordings")
     return tuple(map(sentence, steps)) or ("Nothing.",)
@@ -212,8 +211,7 @@ def _first_screen(estimate: Estimate, alarms: tuple[Alarm, ...]) -> FirstScreen:
     thresholds = estimate.settings.thresholds
     limits = {"B": thresholds.viscous_damping, "beta_e": thresholds.bulk_modulus}
     # One curve, which a phone can show: of the raised alarm, else of what converged.
-    raised = [watched.symbol for watched in WATCHED for a in alarms
-              if a.word in ("WARN", "ERROR") and a.name.startswith(watched.section)]
+    raised = [name for name in SECTIONS if any(a.raised for a in _limited(alarms, name))]
     order = [*raised, *(p.name for p in estimate.parameters.values()
                         if p.status == "converged"), *estimate.parameters]
     pictures = (figures.parameter_figure(estimate, (name,), _HERO) for name in order)
@@ -221,14 +219,14 @@ def _first_screen(estimate: Estimate, alarms: tuple[Alarm, ...]) -> FirstScreen:
         said.kind, said.headline, said.text,
         picture=next(filter(None, pictures), None),
         parameters=table("parameter | value | limits", [
-            (f"{PARAMETER_WORDS[key]} {SYMBOLS[key]}", _value_cell(
+            (parameter_name(key), _value_cell(
                 p, key in estimate.doubted, key in estimate.model.tainted), Cell(
                 figures.limits_in_words(limits[key], p.unit), "message desk"))
             for key, p in estimate.parameters.items()], key="parameters"),
         sentences=effect_of_mismatch(estimate), actions=next_steps(estimate, alarms))
 
 
-def _value_cell(p: ParameterEstimate, tainted: bool = False, beside: bool = False) -> Cell:
+def _value_cell(p: ParameterEstimate, tainted: bool, beside: bool = False) -> Cell:
     """Return value and status, exact in SI; what must not be used is not set in bold."""
     known, sure = math.isfinite(p.value), p.status == "converged"
     badge, level = ("in doubt", "WARN") if sure and tainted else (
@@ -279,8 +277,7 @@ def _alarm_table(alarms: tuple[Alarm, ...], key: str) -> Table:
 def _joint_table(joint: JointResult, doubted: bool) -> Table:
     """Return the parameters of the joint estimator."""
     return table("parameter | value | in words", [
-        (f"{PARAMETER_WORDS.get(p.name, p.name)} {SYMBOLS.get(p.name, p.name)}",
-         _value_cell(p, doubted),
+        (parameter_name(p.name), _value_cell(p, doubted),
          p.message if p.status == "converged" else "") for p in joint.parameters.values()],
         " |  | message", "joint")
 
@@ -291,7 +288,7 @@ def _correlation_table(joint: JointResult) -> Table:
     names = [SYMBOLS.get(name, name) for name in joint.parameters]
     strong = [f"{names[i]} and {names[j]}" for i in range(len(names)) for j in range(i)
               if i < len(correlation) and abs(correlation[i, j]) > _STRONG]
-    return table(" | ".join(("correlation", *names)), [
+    return table(("correlation", *names), [
         (names[i], *(Cell(f"{value:+.2f}".replace("-", "−") if math.isfinite(value) else "—",
                           "number strong" if i != j and abs(value) > _STRONG else "number")
                      for j, value in enumerate(row))) for i, row in enumerate(correlation)],
@@ -306,7 +303,7 @@ def _observability_table(found: "ObservabilityTable | None", recording: Recordin
     names = list(dict.fromkeys(name for row in found.rows for name in row.relative_stddev))
     here = [bool(row.channels) and recording.has(*row.channels) for row in found.rows]
     mixed = not all(here)
-    return table(" | ".join(("channels", *(SYMBOLS.get(name, name) for name in names))), [
+    return table(("channels", *(SYMBOLS.get(name, name) for name in names)), [
         (Cell(", ".join(row.channels), "strong" if mine and mixed else ""),
          *(_relative(row.relative_stddev.get(name)) for name in names))
         for row, mine in zip(found.rows, here, strict=True)], key="observability",

@@ -26,36 +26,25 @@ _FEW = 40  # samples up to which a line gets a mark at each
 
 @dataclass(frozen=True)
 class Curve:
-    """A line, marks, or both.
+    """A line, marks, or both."""
 
-    Attributes
-    ----------
-    x, y : (n,); NaN breaks a line.
-    label : in the legend (unless ``legend`` is false) and beside the cursor.
-    width : of the line, pixels; 0 for marks alone.
-    dash : ``solid``, ``dash`` or ``dot``.
-    marker : "", ``circle``, ``square``, ``x``, ``diamond``, ``triangle-up``, ``triangle-down``;
-        ``size`` its diameter, pixels, ``face`` its colour inside.
-    x_error, y_error : half lengths of error bars, (n,), or (2, n) below and above; without line
-        and marker they are strokes.
-    error_colour, error_width, cap : of the bars; ``cap`` is the length of their ends, pixels.
-    """
-
-    x: np.ndarray
+    x: np.ndarray  # (n,), as ``y``; NaN breaks a line
     y: np.ndarray
-    label: str = ""
+    label: str = ""  # in the legend (unless ``legend`` is false) and beside the cursor
     colour: str = INK
-    width: float = 1.4
-    dash: str = "solid"
+    width: float = 1.4  # of the line, pixels; 0 for marks alone
+    dash: str = "solid"  # or ``dash`` or ``dot``
     opacity: float = 1.0
+    # "", ``circle``, ``square``, ``x``, ``diamond``, ``triangle-up``, ``triangle-down``
     marker: str = ""
-    size: float = 6.0
-    face: str = ""
+    size: float = 6.0  # diameter of the marker, pixels
+    face: str = ""  # its colour inside
+    # Half lengths of error bars, (n,), or (2, n) below and above; strokes without line and marker.
     x_error: np.ndarray | None = None
     y_error: np.ndarray | None = None
     error_colour: str = ""
     error_width: float = 0.9
-    cap: float = 0.0
+    cap: float = 0.0  # length of the bars' ends, pixels
     legend: bool = True
 
 
@@ -78,6 +67,12 @@ class Bars:
     x: np.ndarray
     height: np.ndarray
     width: float
+
+    @property
+    def numbers(self) -> list["Text"]:
+        """The number above each."""
+        return [Text(float(x), float(height), f"{height:g}", up="bottom", shift=(0, 2))
+                for x, height in zip(self.x, self.height, strict=True)]
 
 
 @dataclass(frozen=True)
@@ -125,25 +120,15 @@ class Text:
 
 @dataclass(frozen=True)
 class Side:
-    """An axis.
-
-    Attributes
-    ----------
-    name, note : ``time, s — whole record`` with the unit of the ``scale`` between.
-    scale : from SI to what is written at the axis.
-    limits : ends, SI; None for the extent of what is shown.
-    log : whether the scale is logarithmic.
-    rows : names of the rows 0, 1, ... in place of a scale.
-    dates : whether the values are s since the epoch, shown as dates.
-    """
+    """An axis: ``time, s — whole record`` is its name, its unit and its note."""
 
     name: str = ""
-    scale: Scale = PLAIN
+    scale: Scale = PLAIN  # from SI to what is written at the axis
     note: str = ""
-    limits: tuple[float, float] | None = None
+    limits: tuple[float, float] | None = None  # ends, SI; None for the extent of what is shown
     log: bool = False
-    rows: tuple[str, ...] = ()
-    dates: bool = False
+    rows: tuple[str, ...] = ()  # names of the rows 0, 1, ... in place of a scale
+    dates: bool = False  # whether the values are s since the epoch, shown as dates
 
     @property
     def unit(self) -> str:
@@ -223,25 +208,15 @@ def _extent(one, side: str) -> tuple[np.ndarray, ...]:
 
 @dataclass(frozen=True)
 class Figure:
-    """Panels one above the other.
-
-    Attributes
-    ----------
-    alt : what it shows, in words.
-    ratios : of the panels' heights.
-    size : CSS pixels.
-    shared : whether all panels have the x axis of the last one.
-    on_time : whether the x axis is the time of the recording; such charts share a cursor.
-    stretch : charts of one name show the same stretch of time, and zoom together.
-    """
+    """Panels one above the other."""
 
     panels: tuple[Panel, ...]
-    alt: str
-    ratios: tuple[float, ...] = (1.0,)
-    size: tuple[int, int] = (WIDTH, HEIGHT)
-    shared: bool = True
-    on_time: bool = False
-    stretch: str = ""
+    alt: str  # what it shows, in words
+    ratios: tuple[float, ...] = (1.0,)  # of the panels' heights
+    size: tuple[int, int] = (WIDTH, HEIGHT)  # CSS pixels
+    shared: bool = True  # whether all panels have the x axis of the last one
+    on_time: bool = False  # whether x is the time of the recording: such charts share a cursor
+    stretch: str = ""  # charts of one name show the same stretch of time, and zoom together
 
     def __post_init__(self):
         if self.shared:  # the axis is named below the last

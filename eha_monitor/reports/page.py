@@ -34,28 +34,18 @@ _MOST_OPEN = 6  # rows of a long table that are shown without a click
 
 @dataclass(frozen=True)
 class Cell:
-    """A cell of a table.
-
-    Attributes
-    ----------
-    text : what it says; ``note`` in small letters under it.
-    kind : classes of its look: ``value``, ``number``, ``key``, ``message``, ``good``, ...
-    badge : level or status that is set off by its colour, behind the text; ``level`` names the
-        colour where that is not the badge itself.
-    exact : the value and its standard deviation, SI, for whoever reads the page by program.
-    title : what a mouse that rests there reads.
-    mark, link : name of the number for programs, address that the text leads to.
-    """
+    """A cell of a table."""
 
     text: str
-    kind: str = ""
-    note: str = ""
-    badge: str = ""
-    level: str = ""
+    kind: str = ""  # classes of its look: ``value``, ``number``, ``key``, ``message``, ``good``
+    note: str = ""  # in small letters under the text
+    badge: str = ""  # level or status that is set off by its colour, behind the text
+    level: str = ""  # names that colour where the badge itself does not
+    # value and standard deviation, SI, for whoever reads the page by program
     exact: tuple[float, float | None] | None = None
-    title: str = ""
-    mark: str = ""
-    link: str = ""
+    title: str = ""  # what a mouse that rests there reads
+    mark: str = ""  # name of the number for programs
+    link: str = ""  # address that the text leads to
 
 
 @dataclass(frozen=True)
@@ -77,33 +67,21 @@ class Table:
 
 @dataclass(frozen=True)
 class FirstScreen:
-    """What fits on one screen: the verdict, the picture, B and beta_e, and what to do.
+    """What fits on one screen: the verdict, the picture, B and beta_e, and what to do."""
 
-    Attributes
-    ----------
-    kind : ``ok``, ``warn``, ``error`` or ``unknown``: the colour of the verdict.
-    head, message : its first words and its sentence; ``doubts`` limit it.
-    wrong : what is wrong with the config, said before the verdict, each with its doubt or "".
-    channels : what stands against the channels, said before all.
-    picture, caption : the figure that shows it.
-    parameters : B and beta_e, and what is to be read of them.
-    sentences : what the verdict means for them.
-    actions : what to do, the most important first.
-    verdict : for programs.
-    """
-
-    kind: str
-    head: str
+    kind: str  # ``ok``, ``warn``, ``error`` or ``unknown``: the colour of the verdict
+    head: str  # its first words; ``message`` is its sentence, which the ``doubts`` limit
     message: str
     doubts: tuple[str, ...] = ()
+    # what is wrong with the config, said before the verdict, each with its doubt or ""
     wrong: tuple[tuple[str, str], ...] = ()
     picture: Figure | None = None
     caption: str = ""
-    parameters: Table | None = None
-    sentences: tuple[str, ...] = ()
-    actions: tuple[str, ...] = ()
-    verdict: str = ""
-    channels: tuple[str, ...] = ()
+    parameters: Table | None = None  # B and beta_e, and what is to be read of them
+    sentences: tuple[str, ...] = ()  # what the verdict means for them
+    actions: tuple[str, ...] = ()  # what to do, the most important first
+    verdict: str = ""  # for programs
+    channels: tuple[str, ...] = ()  # what stands against the channels, said before all
 
 
 @dataclass(frozen=True)
@@ -114,19 +92,20 @@ class Contents:
     links: tuple[tuple[str, Markup], ...]
 
 
-def table(head: str, rows: Sequence[Sequence[str | Cell]], kinds: str = "", key: str = "",
-          note: str = "", fold: bool = False) -> Table:
+def table(head: str | Sequence[str], rows: Sequence[Sequence[str | Cell]],
+          kinds: str | Sequence[str] = "", key: str = "", note: str = "", fold: bool = False
+          ) -> Table:
     """Return a table.
 
     Parameters
     ----------
-    head : names of the columns, with ``|`` between.
+    head : names of the columns, one by one or with ``|`` between.
     rows : of cells; those that are text get the look of their column.
-    kinds : looks of the columns, with ``|`` between.
+    kinds : looks of the columns, in the same way.
     fold : whether a long one shows its first rows only, until more are requested.
     """
-    names = tuple(part.strip() for part in head.split("|"))
-    looks = [part.strip() for part in kinds.split("|")] if kinds else [""] * len(names)
+    names, looks = (tuple(part.strip() for part in one.split("|")) if isinstance(one, str)
+                    else tuple(one) for one in (head, kinds or [""] * len(head)))
     made = tuple(tuple(one if isinstance(one, Cell) else Cell(str(one), looks[i])
                        for i, one in enumerate(row)) for row in rows)
     shown = _MOST_OPEN if fold and len(made) > _MOST_OPEN + 2 else len(made)

@@ -152,8 +152,8 @@ class _Drawing:
     def _bars(self, one: fig.Bars) -> None:
         self._trace(one.x, one.height, self.panel.y.name, fig.MEASURED, False, type="bar",
                     width=one.width, marker={"color": fig.MEASURED})
-        for x, height in zip(one.x, one.height, strict=True):
-            self._text(fig.Text(float(x), float(height), f"{height:g}", up="bottom", shift=(0, 2)))
+        for number in one.numbers:
+            self._text(number)
 
     def _level(self, one: fig.Level) -> None:
         self._shape(one, one.at, one.at, {

@@ -133,18 +133,20 @@ def marks(found: dict) -> Table:
 
 def groups(found: dict) -> list[Table]:
     """Return the shares by kind of case."""
-    return [table(f"{title} | cases | exact | within class | detectable | within class of these", [
-        (name, one["n"], percent(one["exact"]), percent(one["within_class"]), one["detectable"],
-         percent(one["detectable_within_class"])) for name, one in found[key].items()], _NUMBERS)
-        for key, title in GROUPS.items() if found.get(key)]
+    return [_shares(title, found[key], "within class of these", "detectable_within_class")
+            for key, title in GROUPS.items() if found.get(key)]
 
 
 def effects(found: dict) -> Table:
     """Return the shares by effect."""
-    return table("effect | cases | exact | within class | detectable | found of these", [
+    return _shares("effect", found["by_effect"], "found of these", "found", "key", "effects")
+
+
+def _shares(title: str, rows: dict, last: str, of: str, kind: str = "", key: str = "") -> Table:
+    """Return a row for each name; the last column, ``last``, is the share ``of``."""
+    return table(f"{title} | cases | exact | within class | detectable | {last}", [
         (name, one["n"], percent(one["exact"]), percent(one["within_class"]), one["detectable"],
-         percent(one["found"])) for name, one in found["by_effect"].items()],
-        f"key{_NUMBERS}", "effects")
+         percent(one[of])) for name, one in rows.items()], kind + _NUMBERS, key)
 
 
 def confusion(found: dict) -> Table:
@@ -180,12 +182,6 @@ def _miss_cards(found: dict, work: Path | None) -> list[dict]:
     return cards
 
 
-def truth_words(row: dict, name: str) -> str:
-    """Return a concealed effect in words: name, strength, evidence."""
-    return (f"{effect_words(name)} at strength {abs(row['strength'][name]):.3g}"
-            + _found_words(row, name, row["log_evidence"]))
-
-
 def _found_words(row: dict, name: str, evidence: dict) -> str:
     gain = evidence.get(name)
     return ("" if gain is None else f", {number(gain, 3)} log units for an oracle") + (
@@ -194,16 +190,12 @@ def _found_words(row: dict, name: str, evidence: dict) -> str:
 
 def truths_of(row: dict) -> list[str]:
     """Return all that was concealed in words: effects, and rig numbers beyond tolerance."""
-    return [*(truth_words(row, name) for name in row["truth"]),
-            *(number_words(row, one) for one in row.get("rig_errors", ())
-              if one["key"] in row["rig_truth"])]
-
-
-def number_words(row: dict, one: dict) -> str:
-    """Return a rig number that the config has wrong in words, SI."""
-    return (f"{one['key']}: the config says {number(one['configured'], 4)}, "
-            f"{number(one['true'], 4)} is true, {abs(one['tolerances']):.2g} tolerances"
-            + _found_words(row, number_of(one["key"]), row["rig_evidence"]))
+    return [*(f"{effect_words(name)} at strength {abs(row['strength'][name]):.3g}"
+              + _found_words(row, name, row["log_evidence"]) for name in row["truth"]),
+            *(f"{one['key']}: the config says {number(one['configured'], 4)}, "
+              f"{number(one['true'], 4)} is true, {abs(one['tolerances']):.2g} tolerances"
+              + _found_words(row, number_of(one["key"]), row["rig_evidence"])
+              for one in row.get("rig_errors", ()) if one["key"] in row["rig_truth"])]
 
 
 def said_words(row: dict) -> str:

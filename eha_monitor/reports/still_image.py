@@ -112,8 +112,8 @@ def _band(axis: Axes, one: fig.Band) -> None:
 
 def _bars(axis: Axes, one: fig.Bars) -> None:
     axis.bar(one.x, one.height, width=one.width, color=fig.MEASURED)
-    for x, height in zip(one.x, one.height, strict=True):
-        _text(axis, fig.Text(float(x), float(height), f"{height:g}", up="bottom", shift=(0, 2)))
+    for number in one.numbers:
+        _text(axis, number)
 
 
 def _level(axis: Axes, one: fig.Level) -> None:

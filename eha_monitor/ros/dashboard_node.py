@@ -22,7 +22,7 @@ from eha_monitor.ros import running
 from eha_monitor.ros.messages import DIAGNOSIS, findings_of, subscribe_to_monitor
 from eha_monitor.ros.parameters import settings_of_node
 from eha_monitor.ros.subscriptions import TopicInput
-from eha_monitor.ros.topics import LATCHED, SHOWN_QOS, Topic, every, topics_of
+from eha_monitor.ros.topics import LATCHED, SHOWN_QOS, Topic, answered, every, topics_of
 from eha_monitor.settings import Settings
 
 FOLLOW_PERIOD, TAKE_PERIOD = 1.0, 0.05  # s
@@ -90,10 +90,8 @@ class Listener:
     def _on_acknowledge(self, request, response):
         """Acknowledge what is raised; a service does not tell who calls it."""
         done = self.state.acknowledge(ACKNOWLEDGED, "a ROS service call")
-        response.success = bool(done)
-        response.message = (f"acknowledged: {', '.join(done)}" if done else
-                            "nothing is raised that has not been acknowledged")
-        return response
+        return answered(response, bool(done), f"acknowledged: {', '.join(done)}" if done else
+                        "nothing is raised that has not been acknowledged")
 
     def _take_health(self, message: DiagnosticArray) -> None:
         hardware = message.status[0].hardware_id if message.status else ""

@@ -194,8 +194,7 @@ class SelfDiagnosis:
         self._running, self._saving, self._coming, self._waits = None, False, None, ""
         TURN.give_back(self)
         for service in self._services.values():
-            service.take_up()
-            service.answer(False, "the monitor has stopped")
+            service.end(False, "the monitor has stopped")
 
     def close(self) -> None:
         """End what is under way, and the services."""
@@ -297,9 +296,8 @@ class SelfDiagnosis:
                 self._same = self._same[-1:]
             self._tell(f"diagnosed {', '.join(map(str, answer.bags))} in {answer.wall_s:.0f} s: "
                        f"{answer.words}")
-        service = self._services["diagnose"]
-        service.take_up()
-        service.answer(not answer.problem, answer.problem or f"{answer.words}; {answer.folder}")
+        self._services["diagnose"].end(
+            not answer.problem, answer.problem or f"{answer.words}; {answer.folder}")
         if (not answer.problem and self._settings.diagnosis.adopt == AUTOMATIC
                 and self._coming is None):
             self._consider(answer)
@@ -393,9 +391,8 @@ class SelfDiagnosis:
         done = (f"reverted from {before.words if before else 'nothing'} to the config's model"
                 if self.adopted is None else f"adopted {self.adopted.words}")
         self._tell(f"{done}, {_BY.get(self._by, self._by)}, at {now}{self._caution}{unkept}")
-        service = self._services["revert" if self.adopted is None else "adopt"]
-        service.take_up()
-        service.answer(True, f"{done}{self._caution}{unkept}")
+        self._services["revert" if self.adopted is None else "adopt"].end(
+            True, f"{done}{self._caution}{unkept}")
         self._exchange(coming.estimator, self.in_force)
 
     # ---- telling --------------------------------------------------------------------------------

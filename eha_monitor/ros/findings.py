@@ -2,7 +2,7 @@
 
 import math
 import time
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 from eha_monitor.estimation.results import Consistency, Event, ModelStatus, ParameterEstimate
@@ -44,8 +44,8 @@ def all_findings(settings: Settings, board: AlarmBoard,
                  parameters: dict[str, ParameterEstimate],
                  consistency: dict[str, Consistency | None], model: ModelStatus,
                  events: dict[str, Event], data: DataState, diagnosed: Answer | None = None
-                 ) -> list[Finding]:
-    """Return the alarms, the two stages, the model, its mismatch and the data, in this order.
+                 ) -> Iterator[Finding]:
+    """Yield the alarms, the two stages, the model, its mismatch and the data, in this order.
 
     Parameters
     ----------
@@ -53,7 +53,6 @@ def all_findings(settings: Settings, board: AlarmBoard,
     events : the last event of each stage, ``one`` and ``two``, and of the ``monitor``.
     diagnosed : what the monitor's own diagnosis says of the mismatch that stands, if it has one.
     """
-    found = []
     for alarm in board.alarms:
         watched = next(w for w in WATCHED if alarm.name.startswith(w.section))
         side = alarm.name.removeprefix(f"{watched.section}_")
@@ -63,15 +62,15 @@ def all_findings(settings: Settings, board: AlarmBoard,
         for degree in ("warn", "error"):
             limit = getattr(limits, f"{side}_{degree}")
             values[f"limit_{degree}"] = math.nan if limit is None else float(limit)
-        found.append(Finding(alarm.name, alarm.level, alarm.message, values | {
-            "since_s": float(alarm.time_s), "not_judged": int(alarm.not_judged)}))
+        yield Finding(alarm.name, alarm.level, alarm.message, values | {
+            "since_s": float(alarm.time_s), "not_judged": int(alarm.not_judged)})
     for stage, watched in STAGES.items():
-        found.append(_stage(stage, parameters.get(watched.symbol), consistency.get(stage),
-                            events.get(stage), data, model))
+        yield _stage(stage, parameters.get(watched.symbol), consistency.get(stage),
+                     events.get(stage), data, model)
     level = "STALE" if data.stopped else _MODEL_LEVEL.get(model.status, "STALE")
-    found.append(Finding("model", level, data.stopped or model.message or model.status,
-                         {"status": model.status}))
-    found.append(_mismatch(model, consistency, data, diagnosed))
+    yield Finding("model", level, data.stopped or model.message or model.status,
+                  {"status": model.status})
+    yield _mismatch(model, consistency, data, diagnosed)
     wrong = data.problems or data.unsaved or data.implausible
     level = ("STALE" if data.stopped else "ERROR" if data.refused else "WARN" if wrong else "OK")
     if data.overload is not None and not data.refused:  # why data may seem to have stopped
@@ -80,8 +79,7 @@ def all_findings(settings: Settings, board: AlarmBoard,
         data.overload.sentence if data.overload else "", data.stopped, data.implausible,
         *data.problems) if each] or ["data come"]
     message = "; ".join([*sentences, *([data.unsaved] if data.unsaved else [])])
-    found.append(Finding("data", level, message, {**data.values, **_last(events.get("monitor"))}))
-    return found
+    yield Finding("data", level, message, {**data.values, **_last(events.get("monitor"))})
 
 
 def levels(board: AlarmBoard, parameters: dict[str, ParameterEstimate], model: ModelStatus,
@@ -226,7 +224,7 @@ def _coming(inputs: Sequence[TopicInput], settings: Settings) -> set[str]:
             if each.waits or now - entry.source.heard_s <= settings.monitor.stale_after}
 
 
-def with_bags(findings: Sequence[Finding], bags: Mapping[str, str]) -> list[Finding]:
+def with_bags(findings: Iterable[Finding], bags: Mapping[str, str]) -> list[Finding]:
     """Return findings of which each alarm names its bag: by alarm, "" while that is due."""
     return [one if (bag := bags.get(one.name)) is None else replace(
         one, values=one.values | ({"bag": bag} if bag else {"bag_due": 1})) for one in findings]

@@ -20,7 +20,7 @@ from eha_monitor.ros import running
 from eha_monitor.ros.messages import joint_state
 from eha_monitor.ros.parameters import with_namespace
 from eha_monitor.ros.subscriptions import TopicInput
-from eha_monitor.ros.topics import OUTPUT_QOS, every, topics_of
+from eha_monitor.ros.topics import OUTPUT_QOS, answered, every, topics_of
 from eha_monitor.settings.monitor import Experiment as Bounds
 from eha_monitor.settings.monitor import Settings
 
@@ -206,21 +206,18 @@ class RosRig:
             each.follow_graph()
 
     def _on_start(self, request, response):
-        response.success = not self.started.is_set()
-        response.message = ("the experiment begins" if response.success else
-                            "the experiment runs already, expected one that waits")
+        waits = not self.started.is_set()
         self.started.set()
-        return response
+        return answered(response, waits, "the experiment begins" if waits else
+                        "the experiment runs already, expected one that waits")
 
     def _on_stop(self, request, response):
         """Abort the motion, and run no further one."""
         self._stop = "the service identify/stop was called"
         moving = self.abort(self._stop, asked=True)
         self.started.set()
-        response.success = True
-        response.message = ("the motion is aborted, and its last position held" if moving else
-                            "no motion is under way, and none will follow")
-        return response
+        return answered(response, True, "the motion is aborted, and its last position held"
+                        if moving else "no motion is under way, and none will follow")
 
 
 def run_identify(settings: Settings, bounds: Bounds, ros_args: list[str], wait: bool,

@@ -10,7 +10,7 @@ from std_srvs.srv import Trigger
 from eha_monitor.health.alarms import Alarm
 from eha_monitor.recordings.ring import Ring, Saved, Saver
 from eha_monitor.recordings.write import TopicType
-from eha_monitor.ros.topics import every
+from eha_monitor.ros.topics import answered, every
 from eha_monitor.settings import Settings
 
 POLL_PERIOD = 0.1
@@ -181,12 +181,14 @@ class LateTrigger:
         for header in taken:
             self._send(Trigger.Response(success=success, message=message), header)
 
+    def end(self, success: bool, message: str) -> None:
+        """Answer every request that waits."""
+        self.take_up()
+        self.answer(success, message)
+
     def _on_request(self, request, response):
         refused = self._begin()
-        if refused is None:
-            return None
-        response.success, response.message = False, refused
-        return response
+        return None if refused is None else answered(response, False, refused)
 
     def _keep_or_send(self, response, header) -> None:
         if response is None:

@@ -19,7 +19,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
 
 from eha_monitor.estimation.results import ModelStatus, ParameterEstimate
-from eha_monitor.health.alarms import WATCHED
+from eha_monitor.health.alarms import SECTIONS, WATCHED
 from eha_monitor.health.judge import Finding
 from eha_monitor.ros.keeper import Keeper
 from eha_monitor.ros.topics import LATCHED, QUEUED
@@ -32,7 +32,6 @@ LEVELS = {"OK": DiagnosticStatus.OK, "WARN": DiagnosticStatus.WARN,
 # How serious it is that a parameter has a status.
 ESTIMATE_LEVELS = {"converged": "OK", "not_excited": "OK", "diverged": "ERROR", "no_data": "STALE"}
 DOUBLE = struct.Struct("<xBxxd")  # a Float64 as it is sent, behind the encapsulation
-_SECTIONS = {watched.symbol: watched.section for watched in WATCHED}
 _LEVEL_NAMES = {level: name for name, level in LEVELS.items()}
 
 
@@ -72,7 +71,7 @@ def estimates(time_ns: int, frame: str, found: Iterable[ParameterEstimate], mode
         if doubted and level == "OK":
             level, message = "WARN", f"in doubt: {model.tainted[estimate.name].reason}; {message}"
         statuses.append(DiagnosticStatus(
-            level=LEVELS[level], name=f"{hardware}: {_SECTIONS[estimate.name]}",
+            level=LEVELS[level], name=f"{hardware}: {SECTIONS[estimate.name]}",
             message=message, hardware_id=hardware,
             values=[KeyValue(key=key, value=value) for key, value in values.items()]))
     return _array(time_ns, frame, statuses)

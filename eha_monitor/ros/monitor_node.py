@@ -24,7 +24,7 @@ from eha_monitor.ros.findings import DataState, all_findings, levels, unfed, wit
 from eha_monitor.ros.keeper import Keeper
 from eha_monitor.ros.messages import Outputs
 from eha_monitor.ros.subscriptions import DEMANDED, OPTIONAL, Drain, Load, TopicInput
-from eha_monitor.ros.topics import clashes, every, topics_of
+from eha_monitor.ros.topics import answered, clashes, every, topics_of
 from eha_monitor.settings import Settings
 
 # Health is judged at this spacing of the data's own time, so that a replay at ten times the
@@ -137,17 +137,14 @@ class Monitor:
 
     def _stop(self, reason: str) -> None:
         """Take no more data, and say so in a last health."""
-        self._end_inputs()
-        self.data.stopped = reason
-        self.board.stale(self._seconds(), reason)
-        self._publish_health()
-
-    def _end_inputs(self) -> None:
         for timer in self._timers:
             self.node.destroy_timer(timer)
         for topic_input in self.inputs:
             topic_input.close()
         self._timers, self.inputs = [], []
+        self.data.stopped = reason
+        self.board.stale(self._seconds(), reason)
+        self._publish_health()
 
     def reconfigure(self, settings: Settings) -> None:
         """Take other thresholds while running."""
@@ -255,10 +252,8 @@ class Monitor:
 
     def _on_reset(self, request, response):
         self._reset("requested by the service monitor/reset")
-        response.success = True
-        response.message = ("both estimators reset; alarms keep their state until there is a new "
-                            "estimate")
-        return response
+        return answered(response, True, "both estimators reset; alarms keep their state until "
+                        "there is a new estimate")
 
     def _judge(self) -> None:
         """Bring snapshot and alarms up to the last row; an alarm that changed is published."""

@@ -35,6 +35,7 @@ from eha_monitor.settings.load import (
     ROS_PARAMETERS,
     check_units,
     merge,
+    nested,
     ros_sections,
     tree_of,
 )
@@ -115,26 +116,23 @@ class Declared:
 
 def parameter_table(settings: Settings, keys: tuple[str, ...]) -> list[Declared]:
     """Return every scalar key of the named sections with its declaration and value."""
-    entries: list[Declared] = []
-    for key in keys:
-        field = type(settings).model_fields[key]
-        _collect(key, getattr(settings, key), field, "", entries)
-    return entries
+    return [entry for key in keys for entry in _declared(
+        key, getattr(settings, key), type(settings).model_fields[key], "")]
 
 
-def _collect(name: str, value: Any, field, context: str, entries: list[Declared]) -> None:
+def _declared(name: str, value: Any, field, context: str) -> Iterator[Declared]:
     description = (field.description or "") if field is not None else ""
     if isinstance(value, BaseModel):
         for key, inner in type(value).model_fields.items():
-            _collect(f"{name}.{key}", getattr(value, key), inner, description or context, entries)
+            yield from _declared(f"{name}.{key}", getattr(value, key), inner,
+                                 description or context)
     elif isinstance(value, dict):
         words = (field.json_schema_extra or {}).get("entries", {}) if field is not None else {}
         for key, inner in value.items():
-            _collect(f"{name}.{key}", inner, None, words.get(key, description or context), entries)
-    elif isinstance(value, tuple):
-        entries.append(_entry(name, list(value), field, context))
+            yield from _declared(f"{name}.{key}", inner, None,
+                                 words.get(key, description or context))
     else:
-        entries.append(_entry(name, value, field, context))
+        yield _entry(name, list(value) if isinstance(value, tuple) else value, field, context)
 
 
 def _entry(name: str, value: Any, field, context: str) -> Declared:
@@ -184,15 +182,8 @@ def overridden(settings: Settings, changes: dict[str, Any], source: str,
                 raise InputError(f"{source}: {name}: {part} has no keys of its own")
             place = inner
         place[last] = value
-        check_units(_below(path, last, value), source)
+        check_units(nested([*path, last], value), source)
     return settings_from_tree(tree, source)
-
-
-def _below(path: list[str], last: str, value: Any) -> dict:
-    tree = {last: value}
-    for part in reversed(path):
-        tree = {part: tree}
-    return tree
 
 
 def number_of(value: Any, unit: str) -> Any:

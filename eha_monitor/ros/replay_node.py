@@ -21,7 +21,7 @@ from std_srvs.srv import SetBool
 from eha_monitor.errors import InputError, one_line
 from eha_monitor.recordings.bag import Bag, Topic, iter_raw, topics
 from eha_monitor.ros import messages, running
-from eha_monitor.ros.topics import OUTPUT_QOS, check_topic, message_class, profile
+from eha_monitor.ros.topics import OUTPUT_QOS, answered, check_topic, message_class, profile
 
 # A message due within this time goes out now: waiting is not finer than that.
 SLACK = 0.0005
@@ -142,9 +142,7 @@ class Replay:
 
     def _on_pause(self, request, response):
         self.paused = bool(request.data)
-        response.success = True
-        response.message = "paused" if self.paused else "playing"
-        return response
+        return answered(response, True, "paused" if self.paused else "playing")
 
     def _warn(self, text: str) -> None:
         print(one_line(text), file=sys.stderr, flush=True)

@@ -200,24 +200,18 @@ def configured(config: Path | None, ros_args: list[str], name: str) -> tuple[Set
     return (with_namespace(load_settings(config), ros_args, name), str(config or "default config"))
 
 
-def actuators(config: Path | None, given: tuple[str, ...], ros_args: list[str], name: str
+def actuators(config: Path | None, given: tuple[str, ...], ros_args: list[str], node: str
               ) -> list[tuple[Settings, str]]:
     """Return settings and config's name of each ``NAME=CONFIG``, or else of the one actuator.
 
-    Raises InputError if there are both, or a config or an actuator is wrong.
-    """
-    if given and config is not None:
-        raise InputError("--config: expected either it or --actuator NAME=CONFIG")
-    return actuators_of(given, name) or [configured(config, ros_args, name)]
-
-
-def actuators_of(given: tuple[str, ...], node: str = "monitor") -> list[tuple[Settings, str]]:
-    """Return settings and config's name of each ``NAME=CONFIG``.
-
     The name becomes the namespace of the topics and the ``hardware_id`` of the diagnostics; an
-    empty CONFIG is the paper's EHA.  Raises InputError if one has no name, or a name comes twice,
-    or a config is wrong.
+    empty CONFIG is the paper's EHA.  Raises InputError if there is a ``config`` as well, one has
+    no name, or a name comes twice, or a config is wrong.
     """
+    if not given:
+        return [configured(config, ros_args, node)]
+    if config is not None:
+        raise InputError("--config: expected either it or --actuator NAME=CONFIG")
     found: dict[str, tuple[Settings, str]] = {}
     for text in given:
         name, equals, config = text.partition("=")

@@ -16,7 +16,15 @@ from eha_monitor.physics.simulator import Simulator, demanded_position
 from eha_monitor.ros import running
 from eha_monitor.ros.parameters import SIMULATOR_KEYS, declare, settings_of_node
 from eha_monitor.ros.subscriptions import TopicInput
-from eha_monitor.ros.topics import HELD, OUTPUT_QOS, Entry, every, message_class, topics_of
+from eha_monitor.ros.topics import (
+    HELD,
+    OUTPUT_QOS,
+    Entry,
+    answered,
+    every,
+    message_class,
+    topics_of,
+)
 from eha_monitor.settings import Settings
 
 # Samples go out in bursts of this spacing: fewer wake-ups, and little against 20 ms of latency.
@@ -99,22 +107,16 @@ class SimulatorNode:
     def _on_excite(self, request, response):
         """Begin the test excitation with the next block, at most 0.1 s ahead."""
         if self._commands is not None:
-            response.success = False
-            response.message = ("commands of others are followed (simulation.demand: topic), "
-                                "expected a simulator with its own motion")
-            return response
+            return answered(response, False, "commands of others are followed (simulation.demand: "
+                            "topic), expected a simulator with its own motion")
         stretches = ", ".join(self._simulator.settings.simulation.test_excitation)
         left = self._simulator.test_left
-        response.success = left == 0.0
-        if response.success:
-            self._simulator.excite()
-            left = self._simulator.test_left
-            response.message = (f"test excitation ({stretches}) for {left:g} s from "
-                                f"t = {self._simulator.time:g} s on")
-        else:
-            response.message = (f"a test excitation ({stretches}) is running, expected none: it "
-                                f"ends in {left:.1f} s")
-        return response
+        if left > 0.0:
+            return answered(response, False, f"a test excitation ({stretches}) is running, "
+                            f"expected none: it ends in {left:.1f} s")
+        self._simulator.excite()
+        return answered(response, True, f"test excitation ({stretches}) for "
+                        f"{self._simulator.test_left:g} s from t = {self._simulator.time:g} s on")
 
     def summary(self) -> str:
         """Return what was published, in one line."""

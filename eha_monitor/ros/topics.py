@@ -1,8 +1,9 @@
-"""Topics: which carry which channels, of which type and in which quality of service; timers."""
+"""Topics: which carry which channels, in which type and quality; timers; answers of services."""
 
 import importlib
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 from rclpy.clock import Clock, ClockType
 from rclpy.exceptions import InvalidTopicNameException
@@ -45,6 +46,12 @@ SHOWN_QOS = profile(100, reliable=False)
 def every(node: Node, period: float, work: Callable[[], None]) -> Timer:
     """Do some work every ``period`` s of real time: it must not stop with ``/clock``."""
     return node.create_timer(period, work, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+
+def answered(response: Any, success: bool, message: str) -> Any:
+    """Return the response of a service with what it says."""
+    response.success, response.message = success, message
+    return response
 
 
 def crowd(node: Node, topic: str) -> str:

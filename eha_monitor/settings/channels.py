@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from functools import cache
 from typing import Annotated, Literal
 
+import numpy as np
 from pydantic import BeforeValidator, Field, field_validator
 
 from eha_monitor.units import ATMOSPHERE, Section, Si
@@ -88,10 +89,7 @@ NO_UNIT = Unit(1.0, 0.0, "")
 def unit_of(text: str) -> Unit:
     """Return what a unit makes of its numbers; "" leaves them as they are.
 
-    Raises
-    ------
-    ValueError
-        If it is no unit, or one that is read in two ways.
+    Raises ValueError if it is no unit, or one that is read in two ways.
     """
     if not text:
         return NO_UNIT
@@ -138,10 +136,7 @@ def _parted(text: str) -> tuple[str, float]:
 def check_unit(channel: str, unit: str, rotary: bool) -> None:
     """Refuse a unit that is none of this channel's quantity.
 
-    Raises
-    ------
-    ValueError
-        With what was expected.
+    Raises ValueError, with what was expected.
     """
     if not unit:
         return
@@ -170,6 +165,11 @@ class Measured:
         """SI value at raw zero."""
         unit = unit_of(self.unit)
         return unit.factor * self.offset + unit.zero if self.unit else self.offset
+
+    def in_si(self, raw: np.ndarray) -> np.ndarray:
+        """Return raw numbers in SI, (n,); what no number holds becomes infinite."""
+        with np.errstate(over="ignore", invalid="ignore"):
+            return self.gain * raw + self.zero
 
 
 def _name(value):

@@ -92,10 +92,7 @@ class Hypothesis(BaseModel):
 def load_hypothesis(path: str | Path) -> Hypothesis:
     """Return the hypothesis of a YAML file, or of an installed package by its name.
 
-    Raises
-    ------
-    InputError
-        One line: file or name, key, what was expected.
+    Raises InputError, one line: file or name, key, what was expected.
     """
     return hypothesis_of(installed(str(path)) if not Path(path).exists() and Path(
         path).suffix == "" else tree_of(path, "a hypothesis"), path)
@@ -104,10 +101,7 @@ def load_hypothesis(path: str | Path) -> Hypothesis:
 def installed(name: str):
     """Return what an installed package has under a name of the group :data:`GROUP`.
 
-    Raises
-    ------
-    InputError
-        If no package has it, or its module cannot be imported.
+    Raises InputError if no package has it, or its module cannot be imported.
     """
     known = {one.name: one for one in entry_points(group=GROUP)}
     if name not in known:

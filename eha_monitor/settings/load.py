@@ -42,12 +42,8 @@ def load_settings(path: str | Path | None) -> Settings:
     """Return the settings of a YAML file, or the paper's EHA for None.
 
     The file has the form of a ROS parameter file (``/**: ros__parameters: ...``), whatever the
-    nodes are called; the sections may also stand at the top.
-
-    Raises
-    ------
-    InputError
-        One line: file, key, what was expected.
+    nodes are called; the sections may also stand at the top.  Raises InputError, one line: file,
+    key, what was expected.
     """
     if path is None:
         return Settings()
@@ -64,10 +60,7 @@ def settings_of(text: str, source: str) -> Settings:
 def tree_of(path: str | Path, what: str = "a config"):
     """Return the tree of a YAML file; ``what`` it is, in errors.
 
-    Raises
-    ------
-    InputError
-        One line: file, what was expected.
+    Raises InputError, one line: file, what was expected.
     """
     path = Path(path)
     check_regular(path, what, streams=True)
@@ -175,17 +168,22 @@ def _from_ros(parameters: dict) -> dict:
     """
     tree: dict = {}
     for key, value in parameters.items():
-        *path, last = str(key).split(".")
-        if (*path, last)[0] in ROS_OWN:
+        path = str(key).split(".")
+        if path[0] in ROS_OWN:
             continue
         if isinstance(value, dict):
             value = _from_ros(value)
         elif isinstance(value, float) and math.isnan(value):
             value = None
-        for part in reversed((*path, last)):
-            value = {part: value}
-        merge(tree, value)
+        merge(tree, nested(path, value))
     return tree
+
+
+def nested(path: list[str], value: Any) -> dict:
+    """Return a tree in which a value stands at a path of at least one key."""
+    for part in reversed(path):
+        value = {part: value}
+    return value
 
 
 def _one_line(model: type[BaseModel], problem: ValidationError) -> str:
@@ -227,7 +225,7 @@ def _section_at(model, location: tuple):
 _WIDTH = 99
 _BOUNDS = (("gt", ">"), ("ge", ">="), ("lt", "<"), ("le", "<="))
 _UNSET = "# "
-_YAML11_BOOLEANS = ("y", "n", "yes", "no", "on", "off", "true", "false")
+YAML11_BOOLEANS = ("y", "n", "yes", "no", "on", "off", "true", "false")
 _HEAD = """\
 A config of eha_monitor.  Every key may be left out; its default is the value shown.
 A number is in the SI unit named beside it, or a string with a unit: mass: "20 kg".
@@ -250,7 +248,7 @@ def annotated(settings: Settings, title: str = "") -> str:
     lines = [f"# {line}".rstrip() for line in (title + "\n" + _HEAD).strip().splitlines()]
     lines += ["/**:", "  ros__parameters:", *_section(settings, 4)]
     if not settings.effects:
-        lines += _catalogue(4)
+        lines += _catalogue()
     return "\n".join(lines) + "\n"
 
 
@@ -308,9 +306,9 @@ def _pattern(annotation: Any, margin: str) -> Iterator[str]:
         yield from _comment(f"    {key}: {value}  # {_about(field)}", margin)
 
 
-def _catalogue(indent: int) -> Iterator[str]:
+def _catalogue() -> Iterator[str]:
     """Yield the effects that a config may name, with their parameters, as comments."""
-    margin = " " * indent
+    margin = " " * 4
     for line in _OWN:
         yield from _comment(line, margin)
     for effect in CATALOGUE.values():
@@ -385,7 +383,7 @@ def scalar(value: Any) -> str:
         return f"[{', '.join(scalar(item) for item in value)}]"
     if isinstance(value, str):
         plain = value.replace("_", "a").replace("/", "a").isalnum()
-        plain = plain and not value.startswith("/") and value.lower() not in _YAML11_BOOLEANS
+        plain = plain and not value.startswith("/") and value.lower() not in YAML11_BOOLEANS
         return value if plain else f'"{value}"'
     return str(value)
 

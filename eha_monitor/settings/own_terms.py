@@ -35,10 +35,7 @@ def is_own(given) -> bool:
 def checked(name: str, given: dict) -> dict:
     """Return such an entry with all its keys.
 
-    Raises
-    ------
-    ValueError
-        Naming the entry, its key and what was expected.
+    Raises ValueError, naming the entry, its key and what was expected.
     """
     if name in CATALOGUE:
         raise ValueError(f"{name}.adds: {name} is an effect of the catalogue, expected another "
@@ -136,13 +133,9 @@ def effects_field(value):
 
     What has the key ``adds`` is a term of the rig's own.
 
-    A shape that is not given takes its default; a size that is not given is absent, as long as
-    the effect has another size that is.
-
-    Raises
-    ------
-    ValueError
-        Naming the effect, its parameter, the unit and the range that was expected.
+    A shape that is not given takes its default; a size that is not given is absent, as long as the
+    effect has another size that is.  Raises ValueError, naming the effect, its parameter, the unit
+    and the range that was expected.
     """
     if not isinstance(value, dict):
         raise ValueError("expected a mapping from effect to its parameters")
