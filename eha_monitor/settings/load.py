@@ -1,6 +1,7 @@
 """Reading a config: ROS parameter file form, one-line errors; writing it as an annotated file."""
 
 import difflib
+import json
 import math
 import reprlib
 import textwrap
@@ -383,8 +384,9 @@ def scalar(value: Any) -> str:
         return f"[{', '.join(scalar(item) for item in value)}]"
     if isinstance(value, str):
         plain = value.replace("_", "a").replace("/", "a").isalnum()
-        plain = plain and not value.startswith("/") and value.lower() not in YAML11_BOOLEANS
-        return value if plain else f'"{value}"'
+        # No path, number, date, truth or null.
+        plain = plain and value[0].isalpha() and value.lower() not in (*YAML11_BOOLEANS, "null")
+        return value if plain else json.dumps(value, ensure_ascii=False)
     return str(value)
 
 
