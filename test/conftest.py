@@ -140,7 +140,7 @@ def rubbing():
     """The diagnosis of a recording with 40 N of dry friction in it; seconds of work, shared."""
     from mismatch_tools import diagnosed
 
-    return diagnosed("coulomb_friction")
+    return diagnosed("coulomb_friction", samples=4000)
 
 
 @pytest.fixture(scope="session")

@@ -50,10 +50,10 @@ def case_of(*effects: str, **options) -> Case:
     return Case("test", tuple((name, 1.0) for name in effects), motion="short", seed=3, **options)
 
 
-def diagnosed(*effects: str, **options) -> Diagnosis:
-    """Diagnose a case of 6 s with effects at full strength."""
+def diagnosed(*effects: str, samples: int = 6000, **options) -> Diagnosis:
+    """Diagnose a case of 6 s, or its first samples, with effects at full strength."""
     recording, settings = recorded(case_of(*effects, **options))
-    return diagnose([recording], settings)
+    return diagnose([recording.part(0, samples)], settings)
 
 
 @lru_cache(maxsize=16)

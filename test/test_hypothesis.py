@@ -103,7 +103,7 @@ def worn():
 
 
 def test_a_right_one_is_named_with_its_numbers(worn, tmp_path):
-    found = diagnose([worn], settings(), hypothesis=loaded(tmp_path, SPOT))
+    found = diagnose([worn.part(0, 3000)], settings(), hypothesis=loaded(tmp_path, SPOT))
     assert (found.verdict, found.learned) == ("mismatch", ())
     effect = next(one for one in found.effects if one.name == "worn_spot")
     assert effect.probability > 0.99 and effect.statement.startswith("the cylinder is worn at 4")

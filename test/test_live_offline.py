@@ -1,6 +1,6 @@
 """One rule, live and offline: the same alarms, at nearly the same time."""
 
-import math
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -41,10 +41,17 @@ def raised(history):
     return found
 
 
-@pytest.mark.parametrize("recording, name", CASES.values(), ids=CASES)
-def test_the_same_alarms_come_within_a_second_of_one_another(recording, name):
-    recording = recording()
-    offline = raised(judged(estimate(recording, settings()))[1])
+@cache
+def offline_of(case):
+    """Return a recording, and when each alarm is first raised of it offline, s."""
+    recording = CASES[case][0]()
+    return recording, raised(judged(estimate(recording, settings()))[1])
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_the_same_alarms_come_within_a_second_of_one_another(case):
+    recording, offline = offline_of(case)
+    name = CASES[case][1]
     stream, board = Stream(), AlarmBoard(settings())
     stream.push(rows_of(recording))
     for snapshot in stream.history:
@@ -54,14 +61,15 @@ def test_the_same_alarms_come_within_a_second_of_one_another(recording, name):
     assert abs(live[name] - offline[name]) < 1.0
 
 
-@pytest.mark.parametrize("first", range(0, 900, 150))
+@pytest.mark.parametrize("first", [0, 450])
 def test_a_monitor_that_is_seldom_asked_alarms_no_earlier(first):
-    recording = read_recording(BAG, settings())
-    offline = raised(judged(estimate(recording, settings()))[1])
-    live, board = LiveEstimator(settings()), AlarmBoard(settings())
-    for count in fed(live, rows_of(recording)):
+    """Where a value is on trial only when somebody asks, the first of these fails by 0.9 s."""
+    (recording, offline), name = offline_of("air ramp"), "bulk_modulus_low"
+    early = recording.part(0, round((offline[name] - 0.5) / recording.sample_time))
+    live, board, asked = LiveEstimator(settings()), AlarmBoard(settings()), 0
+    for count in fed(live, rows_of(early)):
         if count % 900 == first:
             snapshot = live.snapshot()
             board.update(snapshot.time_s, snapshot.parameters, None, snapshot.model.tainted)
-    name = "bulk_modulus_low"
-    assert offline[name] - 0.5 < raised(board.history).get(name, math.inf)
+            asked += 1
+    assert asked > 8 and name not in raised(board.history)

@@ -51,8 +51,8 @@ def made(shape=MULTISINE, seconds=12.0, effects=None, **rig):
             settings(rig=rig, simulation=motion(shape, seconds, publish=list(SENSORS))))
 
 
-PAPER = made(TRIANGLE, 12.0)
-SECOND = made(MULTISINE, 10.0, **OTHER)
+PAPER = made(TRIANGLE, 8.0)
+SECOND = made(MULTISINE, 7.0, **OTHER)
 
 
 def changed(recording, **factors):

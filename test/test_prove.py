@@ -24,7 +24,7 @@ from eha_monitor.settings import settings_from_tree
 
 pytestmark = pytest.mark.timeout(600)  # 20 s; minutes where all has to be compiled first
 ROOT = Path(__file__).parents[1]
-CASES = (Case("c001", (("coulomb_friction", 1.0),), motion="short", seed=11),
+CASES = (Case("c001", (("constant_load", 1.0),), motion="short", seed=11),
          Case("c002", motion="short", seed=12),
          Case("c003", (("position_delay", 1.0),), motion="short", seed=13))
 
@@ -68,11 +68,11 @@ def test_result_is_the_contracts(done):
     rows = {row["case"]: row for row in found["rows"]}
     assert set(rows["c001"]) >= {"case", "truth", "named", "located", "before_rms", "after_rms",
                                  "oracle_rms"}
-    assert rows["c001"]["truth"] == ["coulomb_friction"]
+    assert rows["c001"]["truth"] == ["constant_load"]
     assert rows["c001"]["located"] == "force" and rows["c001"]["within_class"]
     assert rows["c001"]["after_rms"] < 0.2 * rows["c001"]["before_rms"]
     assert rows["c002"]["exact"] and rows["c003"]["truth"] == ["position_delay"]
-    assert found["by_effect"]["coulomb_friction"]["n"] == 1
+    assert found["by_effect"]["constant_load"]["n"] == 1
 
 
 def test_nothing_that_is_there_is_done_again(trial, done):
@@ -101,7 +101,7 @@ def test_another_trials_folder_is_refused(trial, done, change, words):
 def test_an_opened_key_must_be_the_sealed_one(trial, done):
     path = trial.work / "key" / "key.json"
     content = path.read_text()
-    path.write_text(content.replace("coulomb_friction", "stribeck_friction"))
+    path.write_text(content.replace("constant_load", "spring_load"))
     try:
         with pytest.raises(InputError, match="is not the key that was sealed"):
             prove(trial)

@@ -194,11 +194,7 @@ def test_what_is_not_judged_is_not_within_the_limits(triangle):
     said = verdict(triangle.estimate, tuple(alarms))
     assert "N·s/m is not judged" in said.text and "MPa is within the limits" in said.text
     assert said.headline == "No fault found in what could be judged" and said.kind != "ok"
-    text = Page(estimate_page(triangle.estimate, tuple(alarms), tuple(alarms), None)).text
-    assert "not judged" in text
-
-
-def test_the_page_says_what_stands_instead_of_a_value_in_doubt(triangle):
+    # The page says so, and what stands instead of a value in doubt.
     other = replace(triangle.estimate.parameters["B"], value=777.0, stddev=7.0)
     model = replace(triangle.estimate.model, status="mismatch", tainted={
         "B": Taint("it", 1.0, instead=other), "beta_e": Taint("it", 1.0)})
@@ -208,7 +204,8 @@ def test_the_page_says_what_stands_instead_of_a_value_in_doubt(triangle):
         "the alarms judge.", "βe of the filter cannot be used.")
     said = verdict(wrong, triangle.alarms).text
     assert "so βe is biased by the model error; B by least squares on the balances instead" in said
-    assert "777 ± 7" in Page(estimate_page(wrong, triangle.alarms, (), None)).text
+    text = Page(estimate_page(wrong, tuple(alarms), tuple(alarms), None)).text
+    assert "777 ± 7" in text and "not judged" in text
 
 
 def test_a_rising_damping_shows_as_an_alarm():
@@ -359,14 +356,14 @@ def test_observability_is_a_table(short):
 def test_written_at_once_and_refused_in_one_line(short, tmp_path, monkeypatch):
     recording, settings = short
     case = case_of(recording.part(0, 3), settings)
-    target = tmp_path / "report.html"
+    target, html = tmp_path / "report.html", case.page()
     target.write_text("older")
-    write_text(target, estimate_page(case.estimate, case.alarms, case.history))
+    write_text(target, html)
     assert target.read_text(encoding="utf-8").startswith("<!DOCTYPE html>")
     assert os.listdir(tmp_path) == ["report.html"]
     for bad in (tmp_path / "absent" / "r.html", tmp_path):
         with pytest.raises(InputError, match="cannot write") as refused:
-            write_text(bad, estimate_page(case.estimate, case.alarms, case.history))
+            write_text(bad, html)
         assert str(bad) in str(refused.value) and "\n" not in str(refused.value)
     assert os.listdir(tmp_path) == ["report.html"]
 
