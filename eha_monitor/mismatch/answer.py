@@ -338,6 +338,9 @@ def named_effect(experiment: Experiment, naming: Naming, name: str, tracks: list
     if gone := [effect_words(one) for one in model.replaced(experiment, fit)
                 if one in entry.contains]:
         said += f", in place of the config's {listed(gone)}"
+    if own := experiment.settings.effects.get(name):
+        said += "; the config has " + listed([quantity(own[p.name], p.unit, 3)
+                                              for p in entry.sizes if p.name in own])
     return NamedEffect(name, entry.balance, said, parameters, naming.evidence[name],
                        rivals_of(experiment, naming, name), entry.equation, entry.rig_check,
                        model.size_of(experiment, fit, name, tracks),

@@ -20,13 +20,22 @@ import numpy as np
 from eha_monitor import ties
 from eha_monitor.mismatch.data.experiment import SHORTEST, Experiment, Stretch
 from eha_monitor.mismatch.data.inputs import cut, most_informative
-from eha_monitor.mismatch.likelihood.fit import Fit, spread, with_unknowns
+from eha_monitor.mismatch.likelihood.fit import Fit, likeliest, remade, spread, with_unknowns
 from eha_monitor.mismatch.name.columns import columns_at
 from eha_monitor.mismatch.name.gram import grams_of
-from eha_monitor.mismatch.name.refit import unfitted
-from eha_monitor.mismatch.name.starts import Start, possible, with_effect
+from eha_monitor.mismatch.name.nominal import with_rig
+from eha_monitor.mismatch.name.refit import looked, unfitted
+from eha_monitor.mismatch.name.starts import (
+    Start,
+    config_free,
+    possible,
+    starts_of,
+    with_effect,
+)
 from eha_monitor.physics.contributions import ALL_NAMES, slot_of
+from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.physics.own_term import FIRST, KIND, LAST, OWN_NAMES, PHASE, TABLE, turns
+from eha_monitor.physics.parameters import effect_values
 from eha_monitor.physics.signals import B
 
 WINDOW = 4_000  # samples
@@ -125,6 +134,29 @@ class FirstView:
         if entered.named == fit.named:
             return None
         return with_unknowns(experiment, entered, unfitted(experiment).unknowns)
+
+
+TIMES = (1.0, 0.3, 3.0)  # the config's size, where an effect of it is sought beyond its tolerance
+
+
+def beyond_config(experiment: Experiment, nominal: Fit) -> Fit | None:
+    """Return a nominal model in which effects of the config are as large as they may be.
+
+    Those whose sizes end where their tolerance does are names then, from the likeliest of their
+    starts; not fitted to the end.  None where there are none.
+    """
+    fit = nominal
+    for name in sorted({f.owner for f in config_free(experiment)
+                        if f.at_bound(nominal.theta[f.place])}):
+        sizes = {p.name for p in CATALOGUE[name].sizes}
+        own = effect_values(experiment.theta, name).items()
+        starts = [Start(name, tuple((key, value * (times if key in sizes else 1.0))
+                                    for key, value in own)) for times in TIMES]
+        fit = likeliest(spread(lambda start, fit=fit: looked(
+            experiment, remade(experiment, with_effect(fit, start, ()))),
+            [*starts, *starts_of(name, experiment)]))
+    return None if fit is nominal or not np.isfinite(fit.log_likelihood) else with_rig(
+        experiment, fit)
 
 
 def with_effects(experiment: Experiment, fit: Fit, effects: Mapping[str, Mapping[str, float]]

@@ -38,13 +38,14 @@ from eha_monitor.mismatch.name.gram import evidences_at, under
 from eha_monitor.mismatch.name.rank import Ranked
 from eha_monitor.mismatch.name.starts import (
     LEAST_SHARE,
+    always_free,
     base_free,
     entered,
     free_of,
     limits_of,
     own_sizes,
     sharing,
-    timing_free,
+    stand_again,
 )
 from eha_monitor.mismatch.policy import SearchPolicy
 from eha_monitor.physics.contributions import with_place, with_update
@@ -248,7 +249,7 @@ FACTORS = (10.0, 3.0)  # of the unknowns' grid
 def unfitted(experiment: Experiment, factor: float = FIRST) -> Fit:
     """Return the nominal model before any fit, unknowns at ``factor`` times the smallest."""
     theta, active = experiment.theta.copy(), experiment.active.copy()
-    free = base_free(experiment) + timing_free(experiment)
+    free = (*base_free(experiment), *always_free(experiment))
     for f in free:
         if f.owner:
             active[NAMES.index(f.owner)] = True
@@ -418,11 +419,7 @@ def joined(experiment: Experiment, fit: Fit, what: tuple[Column, ...], ranked: R
         free = [f for f in free if f.owner != member.owner] + list(free_of(start))
         named = (*named, member.owner)
     keep_within(theta, named)
-    for f in timing_free(experiment):  # what is named no more may err a little again
-        if f.owner not in named and all(one.name != f.name for one in free):
-            free.append(f)
-            active[NAMES.index(f.owner)] = True
-            theta[f.place] = f.outward(f.prior)
+    stand_again(experiment, theta, active, free, named)
     fitted = {f.place for f in free}
     for place in BASE_KEYS:
         if place not in fitted:

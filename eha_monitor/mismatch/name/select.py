@@ -8,7 +8,7 @@ import numpy as np
 from eha_monitor import ties
 from eha_monitor.mismatch.data.experiment import Experiment
 from eha_monitor.mismatch.likelihood.fit import Fit, likeliest, spread, with_unknowns
-from eha_monitor.mismatch.name.before import FirstView, informative
+from eha_monitor.mismatch.name.before import FirstView, beyond_config, informative
 from eha_monitor.mismatch.name.columns import FAR_OFF, LOOSE, columns_at, rig_free
 from eha_monitor.mismatch.name.finalists import (
     CLOSE,
@@ -234,6 +234,9 @@ def begun(experiment: Experiment, say: Report = silent, manner: Manner = PLAINLY
     search = Search(experiment, start, manner, bare=first)
     if not search.refits.evidence:
         raise np.linalg.LinAlgError("the nominal model's evidence is singular")
+    if other := beyond_config(experiment, start):
+        made = settled(experiment, other)
+        search.refits.add(experiment, frozenset(made.named), made)
     search.going_on_from(known)
     if not search.widely and lack_of(experiment, search.found) > experiment.policy.lacking:
         search.widely, search.done = True, {}  # what was known is not this

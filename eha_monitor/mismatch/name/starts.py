@@ -1,6 +1,6 @@
 """What every model fits and within which limits; where effects enter it, and are taken out."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -65,6 +65,63 @@ def timing_free(experiment: Experiment) -> tuple[Free, ...]:
     return tuple(found)
 
 
+def configured(experiment: Experiment) -> tuple[str, ...]:
+    """Return the effects of the catalogue that the config has."""
+    return tuple(name for name, on in zip(NAMES, experiment.active, strict=False) if on)
+
+
+def config_free(experiment: Experiment, named: Sequence[str] = ()) -> tuple[Free, ...]:
+    """Return the sizes of the config's effects, each free within the form error of laws.
+
+    What a data sheet or an earlier diagnosis says of a friction or a lag is a little wrong, as
+    each number of the rig is, and with thousands of samples a lag that is 4 % off is an encoder
+    that is late beyond doubt.  What is further off must be named.
+
+    Parameters
+    ----------
+    named : effects of a model; of what is one of them, or in one, there are no other numbers.
+    """
+    taken = {inner for name in named if name in CATALOGUE
+             for inner in (name, *CATALOGUE[name].contains)}
+    found, width = [], experiment.policy.law
+    for name in configured(experiment):
+        if name in taken or not possible(name, experiment):
+            continue
+        for p in CATALOGUE[name].sizes:
+            place = place_of(f"{name}.{p.name}")
+            value = float(experiment.theta[place])
+            if value == p.neutral or not np.isfinite(value):
+                continue
+            log, reach = value > 0.0, experiment.policy.sure * width
+            ends = sorted(value * np.exp((-reach, reach)) if log else
+                          value * (1.0 + np.array((-reach, reach))))
+            found.append(Free(f"{name}.{p.name}", place, max(ends[0], p.lower),
+                              min(ends[1], p.upper), float(np.log(value)) if log else value,
+                              width if log else width * abs(value), log))
+    return tuple(found)
+
+
+def always_free(experiment: Experiment, named: Sequence[str] = ()) -> tuple[Free, ...]:
+    """Return what may err a little in every model with these names, and has none itself."""
+    return (*(f for f in timing_free(experiment) if f.owner not in named),
+            *config_free(experiment, named))
+
+
+def stand_again(experiment: Experiment, theta: np.ndarray, active: np.ndarray, free: list[Free],
+                named: Sequence[str]) -> None:
+    """Let what is no name any more stand as the config has it, and err a little, in place."""
+    known = {f.name for f in free}
+    back = [f for f in always_free(experiment, named) if f.name not in known]
+    for f in back:
+        active[NAMES.index(f.owner)] = True
+        for p in CATALOGUE[f.owner].parameters:
+            place = place_of(f"{f.owner}.{p.name}")
+            theta[place] = experiment.theta[place]
+    for f in back:
+        theta[f.place] = f.outward(f.prior)
+    free += back
+
+
 def limits_of(experiment: Experiment) -> tuple[Unknowns, Unknowns]:
     """Return the smallest and the largest unknowns that are tried."""
     small = smallest_unknowns(experiment).as_array()
@@ -104,14 +161,14 @@ def with_effect(fit: Fit, start: Start, amplitudes: tuple[float, ...]) -> Fit:
 
 def without_effect(experiment: Experiment, fit: Fit, name: str) -> Fit:
     """Return a fit with an effect taken out, not yet refitted."""
-    timing = tuple(f for f in timing_free(experiment) if f.owner == name)
     active, theta = fit.active.copy(), fit.theta.copy()
-    active[NAMES.index(name)] = bool(timing)
+    active[NAMES.index(name)] = False
     for p in CATALOGUE[name].parameters:
         theta[place_of(f"{name}.{p.name}")] = 0.0
-    free = tuple(f for f in fit.free if f.owner != name) + timing
-    return replace(fit, theta=theta, active=active, free=free,
-                   named=tuple(other for other in fit.named if other != name))
+    free = [f for f in fit.free if f.owner != name]
+    named = tuple(other for other in fit.named if other != name)
+    stand_again(experiment, theta, active, free, named)
+    return replace(fit, theta=theta, active=active, free=tuple(free), named=named)
 
 
 def expected_likelihood(experiment: Experiment, fit: Fit) -> float:
