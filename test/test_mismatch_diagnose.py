@@ -398,3 +398,29 @@ def test_a_time_of_half_a_sample_may_be_a_hold(effect, samples, held):
 def test_a_delay_of_half_a_sample_may_be_a_digital_controller(name, late, stddev, held):
     said = held_command(name, {"T": Value(late, stddev, "s")}, 1e-3)
     assert ("holds its command" in said) == held
+
+
+def configured(*effects, **config):
+    """Diagnose a case of 6 s whose config has effects, SI."""
+    recording, settings = recorded(case_of(*effects))
+    return sound(diagnose([recording], settings.model_copy(update={"effects": config})))
+
+
+def test_what_the_config_says_of_an_effect_may_be_a_little_wrong():
+    """A lag 4 % off was an encoder that is late, and B 1 % off at 0.03 %, on a healthy machine."""
+    found = configured("drive_lag", "spring_load", drive_lag={"tau": 4.16e-3},
+                       spring_load={"k": 8.08e3, "x_0": 0.0})
+    assert found.verdict == "consistent" and found.effects == () and found.rig_data == ()
+    for name, true in (("B", 600.0), ("beta_e", 6e8)):
+        one = found.after[name]
+        assert abs(one.value - true) < 2.5 * one.stddev < 0.3 * true
+
+
+def test_an_effect_of_the_config_that_has_grown_is_named_with_both_sizes():
+    """A lag of 12 ms where the config has 0.4 was a gain, and two delays, with 98 %."""
+    found = configured("drive_lag", drive_lag={"tau": 0.2e-3})
+    (lag,) = found.effects
+    assert lag.name == "drive_lag" and lag.probability > 0.9
+    assert lag.parameters["tau"].value == pytest.approx(4e-3, rel=0.02)
+    assert "200 µs" in found.message and found.rig_data == ()
+    assert found.config_effects["drive_lag"]["tau"] == pytest.approx(4e-3, rel=0.02)

@@ -85,6 +85,7 @@ class _Draft:
     within: tuple[RigFinding, ...] = ()  # those that moved within their tolerance
     refitted: tuple[str, ...] = ()  # effects of the model
     as_written: tuple[str, ...] = ()  # those of them that are as the config says
+    unnoticed: tuple[NamedEffect, ...] = ()  # and those that no one would call a mismatch
 
     @property
     def experiment(self) -> Experiment:
@@ -213,12 +214,27 @@ def _answers(draft: _Draft) -> _Draft:
             verdict = "consistent" if naming.consistent > policy.rival else "unexplained"
     refitted = tuple(one.name for one in effects)
     as_written = tuple(one.name for one in effects if as_configured(experiment, one))
-    effects = tuple(one for one in effects if one.name not in as_written)
+    unnoticed = tuple(one for one in effects if hardly_drifts(draft, one))
+    effects = tuple(one for one in effects if one.name not in as_written and one not in unnoticed)
     if verdict == "mismatch" and not (effects or wrong):
         verdict, naming = "consistent", replace(naming, consistent=1.0 - naming.unexplained)
     return replace(draft, naming=naming, verdict=verdict, effects=effects, wrong=wrong,
                    within=model.rig_within(experiment, naming), refitted=refitted,
-                   as_written=as_written)
+                   as_written=as_written, unnoticed=unnoticed)
+
+
+def hardly_drifts(draft: _Draft, effect: NamedEffect) -> bool:
+    """Tell whether an effect is a drift of pressure sensors that is no fault of theirs.
+
+    Over the whole recording it is less than ``worse`` of what the pressures do: all sensors warm.
+    """
+    if effect.name != "pressure_drift":
+        return False
+    lasts = max(one.start + len(one) * draft.shown.dt for one in draft.shown.stretches)
+    drifts = [(effect.parameters[f"d_{chamber}"], draft.signals.get(f"pressure_{chamber}"))
+              for chamber in (1, 2)]
+    return all(fit is None or abs(one.value) * lasts < draft.experiment.policy.worse
+               * fit.signal_rms for one, fit in drifts)
 
 
 def _located(draft: _Draft, evidence: Mapping[str, float]) -> tuple[Location, tuple[Curve, ...]]:
@@ -393,6 +409,9 @@ def message_of(draft: _Draft, where: Location) -> str:
         if draft.as_written:
             own = listed([effect_words(name) for name in draft.as_written])
             parts.append(f"its {own} refitted")
+        if draft.unnoticed:
+            parts.append(listed([f"a {effect_words(one.name)} of {one.size}"
+                                 for one in draft.unnoticed]))
         moved = f", with {' and '.join(parts)}," if parts else ""
         return f"the nominal model{moved} explains this recording down to the sensors' noise"
     if draft.verdict == "mismatch":

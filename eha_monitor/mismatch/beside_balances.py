@@ -167,6 +167,12 @@ def contradicted(first: Diagnosis, found: Diagnosis) -> tuple[Gate, ...]:
     if first.verdict != "mismatch" or found.verdict != "mismatch":
         return ()
     mine, theirs = _of_the_force(first), _of_the_force(found)
+    # A filter names what is there beside the config's own effects, least squares the whole.
+    for name in found.config_effects.keys() - {one.name for one in found.effects}:
+        if name in CATALOGUE and CATALOGUE[name].balance == "force":
+            for symbol, value in found.config_effects[name].items():
+                if symbol in theirs:
+                    theirs[symbol] = replace(theirs[symbol], value=theirs[symbol].value + value)
     if not mine.keys() - {"B"}:  # what goes with speed may be damping of another form
         return ()
     gates = []
