@@ -26,7 +26,7 @@ from eha_monitor.balances.alone import alone
 from eha_monitor.balances.candidates import PLAIN, Candidate, Scale, balances_in, candidates_of
 from eha_monitor.balances.contact import contacts_of
 from eha_monitor.balances.course import Course
-from eha_monitor.balances.least_squares import independent, inverse_of, signed_solution
+from eha_monitor.balances.least_squares import independent, inverse_of, rms, signed_solution
 from eha_monitor.balances.measured import course_of
 from eha_monitor.balances.oil_change import oil_change
 from eha_monitor.balances.policy import POLICY, Policy
@@ -179,6 +179,9 @@ class _Steps:
         own, value, chance, stddev, least = self.fitted(name, place)
         # As oil warms, and a gain differs by the shape of a motion, a number moves a little.
         little = policy.between if self.of[name].of_oil else policy.worse
+        if not self.of[name].sign:  # a load of nil may become hardly any: of what the force is
+            column = self.table.rows[self.table.good, self.table.places[name]]
+            own = max(own, self.table.size / rms(column))
         if abs(value) < max(policy.owed * chance, little * own) or least or not policy.sure(
                 value, stddev):
             return None

@@ -97,6 +97,9 @@ class Search:
     # It is made on some of the samples, to begin with, and nothing is fitted to the end
     sketch: bool = False
     bare: Fit | None = None  # the nominal model with nothing of the rig free
+    # One in which effects of the config are larger or smaller than it says; None where it was
+    # looked at, or none is
+    grown: Fit | None = None
     refits: Refits = field(init=False)  # every refitted set
     # Also from other places of the nominal model; else from what a sketch has found
     widely: bool = True
@@ -140,6 +143,11 @@ class Search:
     def doubtful(self) -> bool:
         """Tell whether a gate refused what was found, or it lacks something."""
         return bool(self.refits.refused) or lacks(self.experiment, self.found)
+
+    def look_at_grown(self) -> None:
+        """Take effects of the config beyond their tolerance for names."""
+        self.refits.add(self.experiment, frozenset(self.grown.named), self.grown)
+        self.grown = None
 
     def look_at_first_view(self) -> None:
         """Fit what least squares name, where what was found lacks something.
@@ -234,9 +242,10 @@ def begun(experiment: Experiment, say: Report = silent, manner: Manner = PLAINLY
     search = Search(experiment, start, manner, bare=first)
     if not search.refits.evidence:
         raise np.linalg.LinAlgError("the nominal model's evidence is singular")
-    if other := beyond_config(experiment, start):
-        made = settled(experiment, other)
-        search.refits.add(experiment, frozenset(made.named), made)
+    if grown := beyond_config(experiment, start):
+        search.grown = settled(experiment, grown)
+        if not lacks(experiment, search.grown):
+            search.look_at_grown()
     search.going_on_from(known)
     if not search.widely and lack_of(experiment, search.found) > experiment.policy.lacking:
         search.widely, search.done = True, {}  # what was known is not this
@@ -348,6 +357,9 @@ def next_place(search: Search, turn: int) -> tuple[Names, Fit] | None:
         search.far, search.lack = True, np.inf
         return frozenset(), other
     at = search.refits.ahead(search.done)
+    if at is None and search.grown is not None:
+        search.look_at_grown()
+        at = search.refits.ahead(search.done)
     if at is None and not search.viewed:
         search.look_at_first_view()
         at = search.refits.ahead(search.done)
