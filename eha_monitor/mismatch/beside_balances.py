@@ -110,8 +110,14 @@ def left_of_force(answer: Diagnosis, recordings: Sequence[Recording], settings: 
         If a recording has no force balance.
     """
     numbers = {one.key: one.found.value for one in (*answer.rig_within, *answer.rig_data)}
+    effects = {name: dict(values) for name, values in answer.config_effects.items()}
+    for name, value in zip(answer.fitted.names, answer.fitted.values, strict=True) if (
+            answer.fitted) else ():
+        effect, _, symbol = name.partition(".")
+        if effect in effects:  # one of the config's may have moved within its tolerance
+            effects[effect][symbol] = float(value)
     settings = settings.model_copy(update={
-        "effects": answer.config_effects, "rig": settings.rig.model_copy(update=numbers)})
+        "effects": effects, "rig": settings.rig.model_copy(update=numbers)})
     rig, courses = settings.rig, courses_of(recordings, settings)[1]
     base = tuple(one for one in candidates_of("force", Scale.of(courses), rig) if one.always)
     whole = pooled_table(tables_of(courses, rig, "force", base, POLICY))
