@@ -70,7 +70,7 @@ def diagnose(recordings: Several, config: Config | str | os.PathLike | dict | No
     recordings : Recording, path, or list of them
         Of one rig, explained together; paths are read with the config.
     config : Config, path, mapping or None
-        The nominal rig; its effects count as known.  Without it what the first recording was
+        The nominal rig; its effects are known to 5 %.  Without it what the first recording was
         read or simulated with, and of a path the paper's EHA.
     held_out : Recording or path, optional
         Show the fit on this one; without it on a part that is kept back.

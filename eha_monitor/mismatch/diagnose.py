@@ -57,7 +57,7 @@ def diagnose(recordings: list[Recording], settings: Settings, held_out: Recordin
     Parameters
     ----------
     recordings : of one rig, explained together, each in the state in which it ends.
-    settings : nominal config; its effects count as known.
+    settings : nominal config; its effects are known to ``law``.
     held_out : recording on which the fit is shown; without it the last fifth of every 5 s of
         the recordings is kept aside and enters no fit.
     progress : told what is done and how far it is, 0 to 1.
