@@ -16,7 +16,6 @@ from eha_monitor.draft.rig import (
     number,
     open_choices,
     rig_entries,
-    scalar,
     seen_in,
     tolerances,
     too_short,
@@ -28,7 +27,7 @@ from eha_monitor.recordings.importing import read_table
 from eha_monitor.recordings.read import read_recording
 from eha_monitor.recordings.recording import ChannelFinding, Recording
 from eha_monitor.settings.channels import check_unit, counted_from, unit_of
-from eha_monitor.settings.load import settings_from_tree, settings_of
+from eha_monitor.settings.load import scalar, settings_from_tree, settings_of
 from eha_monitor.settings.monitor import Monitor, Settings
 from eha_monitor.settings.rig import Rig
 

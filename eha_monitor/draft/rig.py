@@ -6,7 +6,6 @@ x), and the choices that are still to be made.
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from json import dumps
 from math import degrees, pi, sin
 from typing import NamedTuple
 
@@ -16,7 +15,7 @@ from eha_monitor.draft.answers import FLOWS, Answers, flow_at
 from eha_monitor.errors import InputError
 from eha_monitor.plausibility.relations import FORWARD
 from eha_monitor.quantity import quantity
-from eha_monitor.settings.load import YAML11_BOOLEANS
+from eha_monitor.settings.load import scalar
 from eha_monitor.settings.rig import Rig
 
 FITS = 0.97  # share of the pump speed's variance that a gain must explain to be written
@@ -149,14 +148,6 @@ def _answered(answers: Answers, key: str) -> Entry:
     except ValueError:
         plain = all(c.isalnum() or c in " .^/_-+" for c in text)
         return Entry(key, text if plain else f'"{text}"', "answered")
-
-
-def scalar(value: str | int) -> str:
-    """Return a text or a whole number as YAML, in quotes unless it is one plain word."""
-    if isinstance(value, int):
-        return str(value)
-    plain = value.isidentifier() and value.casefold() not in (*YAML11_BOOLEANS, "null")
-    return value if plain else dumps(value, ensure_ascii=False)
 
 
 def _areas(answers: Answers, rotary: bool) -> tuple[Entry, Entry]:
