@@ -365,7 +365,7 @@ def _not_looked_for(name: str, found: Evidence, effects: tuple[str, ...], words:
         return None
     if assumed := [effect for effect in effects if effect in found.assumed]:
         return _unknown(name, f"{listed([effect_words(one) for one in assumed])} is in the "
-                              "config, so it is assumed known, not measured", unit)
+                              "config, so it is known to 5 %, not measured", unit)
     if lost := [channel for channel in channels if channel not in found.channels]:
         return _unknown(name, f"{listed(lost)} not recorded", unit)
     if not found.settled:
