@@ -16,9 +16,21 @@ from eha_monitor.mismatch.likelihood.fit import (
     prior_exponent,
     with_unknowns,
 )
-from eha_monitor.mismatch.likelihood.invariance import at_prior, consistent, directions, tangents
+from eha_monitor.mismatch.likelihood.invariance import (
+    BEYOND_ONE,
+    PRESSURE,
+    at_prior,
+    consistent,
+    directions,
+    tangents,
+)
 from eha_monitor.mismatch.name.nominal import with_rig
-from eha_monitor.mismatch.name.refit import Slopes, polished, unfitted
+from eha_monitor.mismatch.name.refit import (
+    Slopes,
+    at_likeliest_kilogram,
+    polished,
+    unfitted,
+)
 from eha_monitor.mismatch.name.starts import starts_of, with_effect
 from eha_monitor.mismatch.show.model import robust
 from eha_monitor.physics.effects import CATALOGUE
@@ -71,6 +83,34 @@ def test_a_machine_moved_along_a_direction_shows_the_same(experiment, name):
             theta[place] *= 1.2**power
         assert_allclose(shown(experiment, fit, theta), plain, rtol=1e-6,
                         atol=1e-7 * np.nanmax(np.abs(plain)))
+
+
+@pytest.mark.parametrize("beside", [(), ("coulomb_friction", "pressure_offset"),
+                                    ("spring_load", "relief_valve", "turbulent_leakage")])
+def test_the_scales_of_both_pressure_sensors_make_up_for_another_kilogram(experiment, beside):
+    fit = with_all_free(experiment, "pressure_scale", *beside, pressure_scale__k_1=0.02)
+    (moved,) = directions(fit.free, fit.theta, fit.active, [PRESSURE])
+    theta = fit.theta.copy()
+    for place, power in moved.items():
+        one = float(place in BEYOND_ONE)
+        theta[place] = (one + theta[place]) * 1.1**power - one
+    plain = shown(experiment, fit, fit.theta)
+    assert_allclose(shown(experiment, fit, theta), plain, rtol=1e-6,
+                    atol=1e-7 * np.nanmax(np.abs(plain)))
+
+
+def test_a_machine_in_another_kilogram_is_where_its_tolerances_are_likeliest(experiment):
+    """Both sensors at -7 %, mass, spring and charge 7 % too large, were as good as a right one."""
+    fit = with_all_free(experiment, "pressure_scale")
+    (moved,) = directions(fit.free, fit.theta, fit.active, [PRESSURE])
+    theta = fit.theta.copy()
+    for place, power in moved.items():
+        one = float(place in BEYOND_ONE)
+        theta[place] = (one + theta[place]) * 1.08**power - one
+    made = at_likeliest_kilogram(experiment, with_unknowns(experiment, replace(fit, theta=theta)))
+    right = {name: fit.theta[place_of(name)] for name in ("mass", "charge_pressure")}
+    assert {name: made.theta[place_of(name)] for name in right} == pytest.approx(right, rel=0.02)
+    assert prior_exponent(fit.free, made.theta) > prior_exponent(fit.free, theta) + 1.0
 
 
 def test_a_number_that_is_known_leaves_no_direction_that_moves_it(experiment):

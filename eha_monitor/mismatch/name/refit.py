@@ -23,7 +23,7 @@ from eha_monitor.mismatch.likelihood.fit import (
     with_unknowns,
 )
 from eha_monitor.mismatch.likelihood.gains import Unknowns, expected_covariance, gains_of
-from eha_monitor.mismatch.likelihood.invariance import at_prior
+from eha_monitor.mismatch.likelihood.invariance import PRESSURE, SCALES, at_prior
 from eha_monitor.mismatch.name.candidates import candidate
 from eha_monitor.mismatch.name.columns import (
     ALWAYS,
@@ -51,7 +51,7 @@ from eha_monitor.mismatch.policy import SearchPolicy
 from eha_monitor.physics.contributions import with_place, with_update
 from eha_monitor.physics.effects import CATALOGUE, NAMES
 from eha_monitor.physics.parameters import BASE_KEYS, effect_values, place_of
-from eha_monitor.physics.signals import B
+from eha_monitor.physics.signals import B, M
 
 # Of a step: shorter first, because inside a threshold the direction is right and the length not.
 SHORTENED = (1.0, 0.3, 0.1, 0.03)
@@ -323,12 +323,28 @@ def settled(experiment: Experiment, fit: Fit, slopes: Slopes | None = None,
         if not np.isfinite(made.log_likelihood):
             return made
         fit = at_level(experiment, made)
+        fit = at_likeliest_kilogram(experiment, fit)
         if worth - fit.log_likelihood > fit.log_likelihood - before:
             return fit
         if fit is made:
             break
         known = None  # under other gains the slopes are others
     return polished_on(experiment, fit, slopes.of(fit) if known is None else known, 12, 0.3)[0]
+
+
+def at_likeliest_kilogram(experiment: Experiment, fit: Fit) -> Fit:
+    """Return a fit where the priors are likeliest of all that both sensors' scales make up for.
+
+    The gains are other ones there, so no step with held gains goes that way.
+    """
+    if not fit.active[SCALES]:
+        return fit
+    here = with_unknowns(experiment, fit)  # with gains of its own, as the others have
+    best = likeliest([here, *(with_unknowns(
+        experiment, replace(fit, theta=other), replace(
+            fit.unknowns, force=fit.unknowns.force * other[M] / fit.theta[M]))
+        for other in at_prior(fit.free, fit.theta, fit.active, [PRESSURE]))], ties.SAME_FIT)
+    return fit if best is here else best
 
 
 def looked(experiment: Experiment, start: Fit, slopes: Slopes | None = None) -> Fit:
