@@ -24,7 +24,6 @@ from eha_monitor.balances.course import (
 from eha_monitor.errors import InputError
 from eha_monitor.estimation.hold_choice import command_is_held, followed
 from eha_monitor.estimation.modelled import contributions_along
-from eha_monitor.estimation.position import astray
 from eha_monitor.estimation.rig_model import added_by, force_missing, force_of
 from eha_monitor.estimation.sensors import (
     noise_levels,
@@ -38,6 +37,7 @@ from eha_monitor.physics.contributions import circuit_of, new_memory
 from eha_monitor.physics.parameters import theta_of
 from eha_monitor.quantity import share
 from eha_monitor.recordings.grid import filled
+from eha_monitor.recordings.position import astray
 from eha_monitor.recordings.recording import Recording, between_stops, sample_of, sampled_rows
 from eha_monitor.settings.monitor import Settings
 from eha_monitor.settings.rig import Rig
@@ -94,7 +94,7 @@ def course_within(recording: Recording, settings: Settings, band: float) -> Cour
     names = [name for name in CHANNELS if recording.has(name)]
     noise = noise_levels(recording, settings.noise)
     cleaned, _ = without_spikes({name: recording.channels[name] for name in names}, noise)
-    off = astray(cleaned["x"], dt, noise["x"].value)
+    off = astray(cleaned["x"], dt)
     cleaned["x"] = np.where(off.mask(len(rows)), np.nan, cleaned["x"])
     needed = [name for name in names if name not in ("x_d", "omega_d")]
     # A demand is no sensor: it may rest for long and jump.

@@ -18,7 +18,6 @@ from eha_monitor.estimation.hold_choice import (
 from eha_monitor.estimation.inputs import Inputs, inputs_of, time_of
 from eha_monitor.estimation.joint import fits, run_joint
 from eha_monitor.estimation.model_watch import beyond, model_status, ranges_of, tainted_by, within
-from eha_monitor.estimation.position import trusted
 from eha_monitor.estimation.results import (
     BALANCE,
     CONVERGED,
@@ -42,6 +41,7 @@ from eha_monitor.estimation.stages import Changes, run_stage_one_kernel, run_sta
 from eha_monitor.estimation.supervision import gave_up
 from eha_monitor.quantity import SYMBOLS, quantity, with_uncertainty
 from eha_monitor.recordings.columns import any_of, first_where, mapped, steps_to
+from eha_monitor.recordings.position import trusted
 from eha_monitor.recordings.recording import Recording, sample_of
 from eha_monitor.settings.monitor import Settings
 
@@ -69,13 +69,17 @@ def estimate(recording: Recording, settings: Settings) -> Estimate:
 
 def _estimated(recording: Recording, settings: Settings) -> Estimate:
     started = time.perf_counter()
-    recording = trusted(recording)
+    given, recording = recording, trusted(recording)
     settings, decision = resolved([recording], settings)
     settings = for_stages(settings, decision)
     found = estimate_held(recording, settings)
     if decision is not None and not decision.decided:
         found = either(found, estimate_held(recording, with_hold(settings, SAMPLED),
                                             beside=found.beside), decision)
+    if recording is not given:
+        left = np.isfinite(given.get("x")).sum() - np.isfinite(recording.get("x")).sum()
+        found = replace(found, warnings=(*found.warnings, (
+            f"x: {left} outlier{'s' if left > 1 else ''} left out, that no piston makes")))
     return replace(found, wall_s=time.perf_counter() - started,
                    channels=decision.findings if decision is not None else ())
 

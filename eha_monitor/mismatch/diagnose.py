@@ -13,7 +13,6 @@ from eha_monitor.balances.course import TRAVEL
 from eha_monitor.balances.event import without_events
 from eha_monitor.breakdown import computing
 from eha_monitor.estimation.hold_choice import resolved
-from eha_monitor.estimation.position import trusted
 from eha_monitor.mismatch.answer import assemble, verdict_of
 from eha_monitor.mismatch.beside_balances import (
     Filtered,
@@ -35,6 +34,7 @@ from eha_monitor.mismatch.name.select import PLAINLY, Manner, Search, begun
 from eha_monitor.mismatch.show.changed import changed_between
 from eha_monitor.progress import Report, silent
 from eha_monitor.quantity import quantity
+from eha_monitor.recordings.position import trusted
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings.hypothesis import Hypothesis
 from eha_monitor.settings.monitor import Settings

@@ -9,10 +9,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from eha_monitor.estimation.position import astray
-from eha_monitor.estimation.sensors import white_noise
 from eha_monitor.plausibility.moments import stretch_of
 from eha_monitor.quantity import quantity, share
+from eha_monitor.recordings.position import astray, noise_of
 from eha_monitor.recordings.recording import ChannelFinding, Recording
 from eha_monitor.words import listed
 
@@ -88,7 +87,7 @@ def held(recording: Recording) -> tuple[ChannelFinding, ...]:
 def _astray(recording: Recording) -> list[str]:
     """Return what the position does that no piston does, in words."""
     x, dt = recording.get("x"), recording.sample_time
-    off, said = astray(x, dt, white_noise(x)), []
+    off, said = astray(x, dt), []
     size = quantity(off.size, "m", 2)
     if len(off.out):
         said.append(f"x drops out {_when(off.out * dt)}, by up to {size} within a sample and "
@@ -204,7 +203,7 @@ def _still_while_others_move(name: str, channels: dict[str, np.ndarray]) -> _Run
             continue
         theirs = channels[other]
         least = max(MOVED * float(np.nanmax(theirs) - np.nanmin(theirs)),
-                    MOVES * _noise(theirs)) if np.isfinite(theirs).any() else np.inf
+                    MOVES * noise_of(theirs)) if np.isfinite(theirs).any() else np.inf
         moved |= np.array([
             np.nanmax(part, initial=-np.inf) - np.nanmin(part, initial=np.inf) > least
             for part in map(theirs.__getitem__, map(slice, runs.starts, runs.stops))])
@@ -246,13 +245,6 @@ def _cut(runs: _Runs, values: np.ndarray, span: float, name: str) -> str:
 
 def _shown(value: float, name: str) -> str:
     return quantity(value, "N", 4) if name == "force" else f"{value / 1e5:.4g} bar"
-
-
-def _noise(values: np.ndarray) -> float:
-    """Return the standard deviation of the white part of a channel, by its second differences."""
-    bends = np.abs(np.diff(values, 2))
-    bends = bends[np.isfinite(bends)]
-    return float(np.median(bends)) / (0.6745 * 6.0**0.5) if len(bends) else 0.0
 
 
 def _missing(values: np.ndarray, start: int, stop: int) -> float:

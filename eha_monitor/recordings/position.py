@@ -12,7 +12,6 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from scipy.ndimage import median_filter
 
-from eha_monitor.estimation.sensors import white_noise
 from eha_monitor.recordings.columns import IN_MEMORY
 from eha_monitor.recordings.recording import Recording
 
@@ -57,23 +56,30 @@ NONE = Astray(np.zeros((0, 2), dtype=int), np.zeros((0, 2), dtype=int), np.zeros
               0.0, 1.0)
 
 
-def astray(x: np.ndarray, dt: float, noise: float) -> Astray:
+def noise_of(values: np.ndarray) -> float:
+    """Return the standard deviation of the white part of a channel, by its second differences."""
+    bends = np.abs(np.diff(values, 2))
+    bends = bends[np.isfinite(bends)]
+    return float(np.median(bends)) / (0.6745 * 6.0**0.5) if len(bends) else 0.0
+
+
+def astray(x: np.ndarray, dt: float) -> Astray:
     """Return where a position is not that of a piston.
 
     Parameters
     ----------
     x : (n,) m or rad, NaN where missing.
     dt : sample time, s; none is found where it is more than ``SLOWEST``.
-    noise : standard deviation of a sample, SI.
     """
     there = np.flatnonzero(np.isfinite(x))
     if dt > SLOWEST or len(there) < 4 * FEWEST:
         return NONE
     values, beside = x[there].copy(), np.diff(there) == 1  # in a gap it may have moved
     travel = float(np.ptp(median_filter(values, 2 * REACH + 1)))
+    least = max(SIGMAS * noise_of(values), FAR * travel)
     gone, sizes, stays = np.zeros(len(values), dtype=bool), [0.0], []
     for away, aside in PASSES:
-        at = _jumps(values, max(SIGMAS * noise, FAR * travel), aside)
+        at = _jumps(values, least, aside)
         out, stays = _drop_outs(values, at[beside[at]], max(round(away / dt), REACH))
         for first, last in out:
             sizes.append(abs(values[first] - values[first - 1]))
@@ -117,7 +123,7 @@ def trusted(recording: Recording) -> Recording:
     x, dt = recording.channels.get("x"), recording.sample_time
     if x is None or len(x) > IN_MEMORY:
         return recording
-    away = astray(x, dt, white_noise(x)).mask(len(x))
+    away = astray(x, dt).mask(len(x))
     return recording if not away.any() else replace(
         recording, channels={**recording.channels, "x": np.where(away, np.nan, x)})
 
