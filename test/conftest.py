@@ -144,8 +144,8 @@ def rubbing():
 
 
 @pytest.fixture(scope="session")
-def gapped():
-    """The diagnosis of a recording with a load between two stops that no entry describes."""
+def sticking():
+    """The diagnosis of a piston that sticks at one place, which no entry describes."""
     from mismatch_tools import diagnosed
 
-    return diagnosed("gapped_load")
+    return diagnosed("sticking_place")

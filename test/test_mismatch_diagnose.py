@@ -126,17 +126,17 @@ def test_drive_lag_is_the_drive_s():
     assert lag.value > 0 and lag.stddev < 0.1 * lag.value
 
 
-def test_what_no_entry_explains_is_said_to_be_unexplained_and_where_it_is(gapped):
-    """A load that acts between two stops with a gap: no such entry in the catalogue."""
-    found = sound(gapped)
+def test_what_no_entry_explains_is_said_to_be_unexplained_and_where_it_is(sticking):
+    """A place in which the piston sticks: no such entry in the catalogue."""
+    found = sound(sticking)
     assert found.verdict == "unexplained" and found.probability["unexplained"] > 0.5
     assert found.location.balance["force"] > 0.6
     assert found.config_effects == {}
     assert "not in the catalogue" in found.message
 
 
-def test_what_is_unexplained_has_a_curve_in_its_balance(gapped):
-    assert any(curve.balance == "force" for curve in gapped.curves)
+def test_what_is_unexplained_has_a_curve_in_its_balance(sticking):
+    assert any(curve.balance == "force" for curve in sticking.curves)
 
 
 def test_a_wrong_charge_pressure_is_a_number_of_the_rig_and_no_effect():
