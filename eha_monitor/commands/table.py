@@ -17,12 +17,7 @@ from eha_monitor.estimation.results import Estimate
 from eha_monitor.health.alarms import BALANCES, NO_LIMIT, NOT_JUDGED, Alarm
 from eha_monitor.indicators.indicator import AVAILABLE, NEEDS, NOT_LOOKED_FOR, Indicator, passed
 from eha_monitor.mismatch.diagnosis import Diagnosis, LearnedTerm
-from eha_monitor.plausibility.sheet import (
-    against_sheet,
-    cylinder_against,
-    load_against,
-    sizes_against,
-)
+from eha_monitor.plausibility.sheet import against_sheet
 from eha_monitor.quantity import NOTE, SYMBOLS, number
 from eha_monitor.reports import diagnosis_words as words
 from eha_monitor.settings import Settings
@@ -180,8 +175,6 @@ def show_indicators(to: Console, indicators: Sequence[Indicator], settings: Sett
 
 # ---- diagnose -----------------------------------------------------------------------------------
 
-LOADLIKE = {"constant_load", "pressure_offset"}  # what reads as a constant force
-SIZES = {"added_mass", "mass", "pump_displacement", "pump_flow_gain", "area_1", "area_2"}
 RIVAL_FORMULA = 20.0  # log units: a formula that is worse by more is not worth a line
 _COLOURS = {"ok": "green", "warn": "yellow", "error": "red", "unknown": "dim"}
 
@@ -230,7 +223,7 @@ def show_diagnosis(found: Diagnosis, settings: Settings, written: Sequence[Path]
     if found.signals:
         to.print(_fit(found))
     show_baselines(to, found.baselines)
-    for line in _against_config(found, settings):
+    for line in words.against_config(found, settings):
         to.print(f"[yellow]config[/]: {escape(line)}")
     for finding in found.rig_within:
         to.print(f"[yellow]rig data[/]: {escape(finding.statement)}")
@@ -245,23 +238,6 @@ def show_diagnosis(found: Diagnosis, settings: Settings, written: Sequence[Path]
     for text in filter(None, (words.certainty(found), words.windows_words(found))):
         to.print(escape(text), style="dim")
     print_end(to, words.footnote(found) if found.before or found.after else "", written)
-
-
-def _against_config(found: Diagnosis, settings: Settings) -> list[str]:
-    """Return what least squares say against the config's load, mass and pump.
-
-    Of a load that is named, or makes half of what the config leaves, what it may be; of mass and
-    pump where the answer says nothing of either.
-    """
-    named = {effect.name for effect in found.effects} | {one.key for one in found.rig_data}
-    loads, force, lines = LOADLIKE & named, found.signals.get("force"), []
-    if len(found.baselines) == 1 and not found.references:
-        first = found.baselines[0]
-        lines += cylinder_against(first, settings) + (
-            [] if SIZES & named else sizes_against(first, settings))
-    if loads or (force is not None and not found.references):
-        lines += load_against(found.baselines, settings, None if loads else force.before_rms)
-    return lines
 
 
 def _effects(found: Diagnosis) -> Table:

@@ -84,31 +84,34 @@ def _unit_in(cell: str) -> str:
 
 def _with_names(delimiter: str, start: int, rows: list[list[str]]) -> Layout:
     count = len(rows[start])
-    own = tuple(map(_unit_in, rows[start]))
+    own = tuple(map(_unit_in, rows[start]))  # that stand in the cells themselves
     above = [place for place in range(start) if rows[place]]  # a scope leaves lines empty
-    said = [place for place in above if len(rows[place]) == count and says_of_each(rows[place])]
-    head = said or [place for place in above[-4:]
-                    if len(rows[place]) == count and not _numbers(rows[place])
-                    and not rows[place][0].startswith("***")]
+    each = [place for place in above if len(rows[place]) == count and says_of_each(rows[place])]
+    if each:  # the first of these is "Name"
+        return Layout(delimiter, each[0], True, _stripped(rows[each[0]]), own)
+    head = [place for place in above[-4:]
+            if len(rows[place]) == count and not _numbers(rows[place])
+            and not rows[place][0].startswith("***")]
     if not head:
-        above = rows[above[-1]] if above else [""]
-        said = [cell.strip().lstrip("#").strip() for cell in above]
-        said = said[len(said) > count and not said[0]:]  # a space behind the # parts cells, too
+        last = rows[above[-1]] if above else [""]
+        names = tuple(cell.strip().lstrip("#").strip() for cell in last)
+        names = names[len(names) > count and not names[0]:]  # a space behind the # parts cells
         # numpy's savetxt puts a # before the names; the reader leaves such a line out.
-        commented = above[0].lstrip().startswith("#") and len(said) == count
+        commented = last[0].lstrip().startswith("#") and len(names) == count
         return Layout(delimiter, 0 if commented else start, False,
-                      tuple(said) if commented else tuple(map(str, range(count))), own)
+                      names if commented else tuple(map(str, range(count))), own)
     units = [place for place in head if _are_units(rows[place])]
     filled = {place: sum(map(bool, map(str.strip, rows[place]))) for place in head}
     # A spreadsheet fills a title's line up with empty cells.
     named = [place for place in head if place not in units
              and filled[place] >= 0.7 * max(filled.values())] or head[:1]
-    named = said[:1] or named
-    names = rows[named[0]]
     row = next((rows[place] for place in units if place != named[0]), own)
-    return Layout(delimiter, named[0], True,
-                  tuple(cell.strip().lstrip("\ufeff") for cell in names),
+    return Layout(delimiter, named[0], True, _stripped(rows[named[0]]),
                   tuple(cell.strip() for cell in row))
+
+
+def _stripped(names: list[str]) -> tuple[str, ...]:
+    return tuple(cell.strip().lstrip("\ufeff") for cell in names)
 
 
 def _are_units(row: list[str]) -> bool:

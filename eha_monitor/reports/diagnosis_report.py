@@ -58,6 +58,7 @@ def diagnosis_page(found: Diagnosis, settings: Settings, losses: Sequence[str] =
         learned=[_learned(term) for term in found.learned],
         effects=[_effect(effect, found.duration_s) for effect in found.effects],
         location=_location(found), remarks=tuple(map(words.sentence, found.remarks)),
+        against=tuple(map(words.sentence, words.against_config(found, settings))),
         curves=[figures.curve_figure(found, curve)
                 for curve in curves[0 if found.learned else 1 : _MOST_CURVES]],
         fit=_fit(found), fit_data=words.DATA.get(found.data, found.data),

@@ -13,6 +13,7 @@ from eha_monitor.mismatch.diagnosis import (
 )
 from eha_monitor.mismatch.policy import POLICY
 from eha_monitor.physics.effects import CATALOGUE
+from eha_monitor.plausibility.sheet import cylinder_against, load_against, sizes_against
 from eha_monitor.quantity import (
     COMPARED,
     DIAGNOSED,
@@ -26,6 +27,7 @@ from eha_monitor.quantity import (
     with_uncertainty,
 )
 from eha_monitor.settings.channels import CHANNELS
+from eha_monitor.settings.monitor import Settings
 from eha_monitor.settings.own_terms import is_own
 from eha_monitor.settings.rig import Rig, Tolerance
 from eha_monitor.units import LARGEST
@@ -499,3 +501,24 @@ def certainty(found: Diagnosis) -> str:
             "the evidence of every compared set of effects, wrong rig data and smooth unknown "
             "terms. An alternative that reaches 5 % is listed as indistinguishable from the "
             "answer.")
+
+
+LOADLIKE = {"constant_load", "pressure_offset"}  # what reads as a constant force
+SIZES = {"added_mass", "mass", "pump_displacement", "pump_flow_gain", "area_1", "area_2"}
+
+
+def against_config(found: Diagnosis, settings: Settings) -> list[str]:
+    """Return what least squares say against the config's load, mass and pump.
+
+    Of a load that is named, or makes half of what the config leaves, what it may be; of mass and
+    pump where the answer says nothing of either.
+    """
+    named = {effect.name for effect in found.effects} | {one.key for one in found.rig_data}
+    loads, force, lines = LOADLIKE & named, found.signals.get("force"), []
+    if len(found.baselines) == 1 and not found.references:
+        first = found.baselines[0]
+        lines += cylinder_against(first, settings) + (
+            [] if SIZES & named else sizes_against(first, settings))
+    if loads or (force is not None and not found.references):
+        lines += load_against(found.baselines, settings, None if loads else force.before_rms)
+    return lines
