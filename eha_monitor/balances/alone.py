@@ -121,14 +121,13 @@ class _Choice:
         table, policy = self.table, self.policy
         nominal = self.unseen(self.always)
         refused: list[Refused] = []
-        kept, often, rivals = list(self.always), {}, {}
+        kept, named, often, rivals = list(self.always), set(), {}, {}
         clean = policy.clean * table.floor / table.size
         if nominal > clean:
             among = self.allowed if nominal > policy.worse else self.numbers_explaining(nominal)
             if among:
                 kept, often, rivals = self.stable(among)
-                kept = self.gated(kept, refused)
-        named = set(kept) - set(self.always)
+                kept, named = self.gated(kept, refused)
         kept = self.as_good_as_first_view(kept, refused)
         found, error = [], self.unseen(kept)
         values, chance = covariance_by_chance(table, kept)
@@ -257,8 +256,13 @@ class _Choice:
                  if found[name] <= least * np.exp(self.policy.alone)]
         return best[equal[0]], tuple(equal[1:])
 
-    def gated(self, kept: list[str], refused: list[Refused]) -> list[str]:
-        """Return the terms that are there for sure and within their limits."""
+    def gated(self, kept: list[str], refused: list[Refused]) -> tuple[list[str], set[str]]:
+        """Return the terms that are there for sure and within their limits, and the names.
+
+        What a doubt of the left side makes as well is no name, and corrects the form: without it
+        what it takes up is an error of the others.
+        """
+        form: set[str] = set()
         while True:
             values, sure = self.parameters(kept)
             out, doubts = None, moved_by_doubts(self.table, kept)
@@ -271,14 +275,17 @@ class _Choice:
                 if abs(value) > self.table.reach[self.table.places[name]]:
                     out = Refused("bound", one.effect, f"{one.words} of {shown} is beyond what "
                                   "this rig can have")
-                elif not self.policy.sure(value, doubt):
-                    out = Refused("member", one.effect, f"{one.words} of {shown} may be channels "
-                                  "that are half a sample late, or areas within their tolerance")
                 elif not self.policy.sure(value, stddev) and self.unseen(
                         rest) < self.unseen(kept) * np.exp(self.policy.alone):
                     out = Refused("member", one.effect, f"{one.words} of {shown} is not "
                                   f"{self.policy.varied:g} deviations from absent, and the model "
                                   "without it is no worse")
+                elif not self.policy.sure(value, doubt):
+                    if name not in form:
+                        form.add(name)
+                        refused.append(Refused(
+                            "member", one.effect, f"{one.words} of {shown} may be channels that "
+                            "are half a sample late, or areas within their tolerance"))
                 if out is not None:
                     refused.append(out)
                     kept = rest
@@ -291,8 +298,8 @@ class _Choice:
                 "unseen_error", self.table.balance,
                 f"on unseen parts {share(error, 2)} of it would stay open, {share(before, 2)} "
                 "without the names"))
-            return list(self.always)
-        return kept
+            kept = list(self.always)
+        return kept, set(kept) - set(self.always) - form
 
     def as_good_as_first_view(self, kept: list[str], refused: list[Refused]) -> list[str]:
         """Return the terms with those of the first view where these leave less."""

@@ -61,7 +61,8 @@ class Course:
         channel says.
     quiet : share of its usual size below which the demand has no sign.
     known : balance -> what the config's own effects add to it, (m,), or as of either chamber
-        (2, m); ``stroke`` is the rate at which volumes that change over the stroke take up oil at
+        (2, m); ``at_rest`` is the force that they hold at each place without any motion, (m,) N;
+        ``stroke`` is the rate at which volumes that change over the stroke take up oil at
         the pressure of 1 Pa, m³·Pa/s.  See :meth:`added`.
     sensors : (n_x, n_p, n_omega, n_force) noise of the channels in one sample, SI.
     skew : by how much one channel may be late against another, s: half a sample.
@@ -251,6 +252,11 @@ class Course:
         """Return what the config's own effects add to a balance, (m,) SI."""
         known = self.known[balance]
         return known if known.ndim == 1 else self.of_filled(*known)
+
+    def held(self, balance: str) -> np.ndarray:
+        """Return what the config's loads hold at rest of a balance, (m,): of the force alone."""
+        nothing = np.zeros(len(self))
+        return self.known.get("at_rest", nothing) if balance == "force" else nothing
 
     def in_band(self, columns: np.ndarray) -> np.ndarray:
         """Return columns (m, k) or (m,) after the low-pass of every balance, compared points."""

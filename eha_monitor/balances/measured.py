@@ -244,6 +244,8 @@ def known_of(course: Course, rig: Rig, theta: np.ndarray, active: np.ndarray
         contributions_along(course.track(), course.dt, course.steps, theta, active,
                             new_memory(), c)
     known = {"force": c[:, s.FORCE] + (rig.mass + c[:, s.MASS]) * course.a, "drive": zero}
+    if active.any():
+        known["at_rest"] = _at_rest(course, theta, active)
     if not course.has_flow:
         return known
     pump = (rig.pump_displacement or 0.0) * c[:, s.SPEED]
@@ -259,6 +261,18 @@ def known_of(course: Course, rig: Rig, theta: np.ndarray, active: np.ndarray
         left.append(sign / ratio * (c[:, into] - sign * crossing - makeup - soft * rate))
         stroke.append(sign / ratio * c[:, volume] * rate)
     return known | {"flow": pump + np.stack(left), "stroke": np.stack(stroke)}
+
+
+def _at_rest(course: Course, theta: np.ndarray, active: np.ndarray) -> np.ndarray:
+    """Return the force that the config's effects make at rest at each place of a motion, (m,) N.
+
+    A spring, a weight, a table over the stroke: what the rod holds, whatever it does.
+    """
+    track = np.zeros((len(course), s.N_SIGNALS))
+    track[:, s.X] = course.x
+    c = np.zeros((len(course), s.N_CONTRIBUTIONS))
+    contributions_along(track, course.dt, 0, theta, active, new_memory(), c)
+    return c[:, s.FORCE]
 
 
 def _sensors(noise: dict, channels: dict[str, np.ndarray]) -> dict[str, float]:

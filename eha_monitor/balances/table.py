@@ -31,8 +31,9 @@ class Table:
         recording's are at a steady direction.
     block : (m,) number of each sample's block.
     dt : s.
-    size : rms of the whole left side, of which y is what the config leaves open; of a recording
-        with a load of its own, its standard deviation.
+    size : rms of the left side, of which y is what the config leaves open, without what the
+        config's own load holds at rest; of a recording with a load of its own, its standard
+        deviation.
     floor : rms that the sensors alone leave.
     known : (m,) what the config says of the left side.
     doubts : (m, j) by what the left side may be wrong, one standard deviation each: channels that
@@ -211,7 +212,8 @@ def tables_of(courses: Sequence[Course], rig: Rig, balance: str,
         doubts = doubts_of(course, rig, balance, whole)
         rows = course.in_band(np.column_stack([whole, known, *doubts, *(row[i] for i in kept)]))
         good = course.compared(course.counted(balance))
-        signal = rows[good, 0] - (rows[good, 0].mean() if own_load else 0.0)
+        signal = rows[good, 0] - course.in_band(course.held(balance))[good]
+        signal -= signal.mean() if own_load else 0.0
         size = max(float(np.sqrt(np.mean(signal**2))), STILL)
         first = 2 + len(doubts)
         known, doubts = rows[:, 1], rows[:, 2:first]
