@@ -280,12 +280,11 @@ class _Choice:
                     out = Refused("member", one.effect, f"{one.words} of {shown} is not "
                                   f"{self.policy.varied:g} deviations from absent, and the model "
                                   "without it is no worse")
-                elif not self.policy.sure(value, doubt):
-                    if name not in form:
-                        form.add(name)
-                        refused.append(Refused(
-                            "member", one.effect, f"{one.words} of {shown} may be channels that "
-                            "are half a sample late, or areas within their tolerance"))
+                elif not self.policy.sure(value, doubt) and name not in form:
+                    form.add(name)
+                    refused.append(Refused(
+                        "member", one.effect, f"{one.words} of {shown} may be channels that "
+                        "are half a sample late, or areas within their tolerance"))
                 if out is not None:
                     refused.append(out)
                     kept = rest

@@ -90,7 +90,7 @@ class Candidate:
     odd : it changes its sign with the direction of motion.
     power : it grows with this power of the speed.
     configured : what the config has of it, SI; the term is what comes on top, and no less than
-        its absence where physics wants it positive.
+        its absence where physics wants it positive.  ``held`` is what its effects have of that.
     """
 
     name: str
@@ -116,6 +116,7 @@ class Candidate:
     odd: bool = True
     power: float = 0.0
     configured: float = 0.0
+    held: float = 0.0
 
     @property
     def least(self) -> float:
@@ -140,7 +141,7 @@ class Candidate:
     def beside(self, effects: Mapping[str, Mapping[str, float]]) -> "Candidate":
         """Return the term beside the config's effects, of which it is what comes on top."""
         held = effects.get(self.effect, {}).get(self.symbol, 0.0)
-        return replace(self, configured=self.configured + held) if held else self
+        return replace(self, configured=self.configured + held, held=held) if held else self
 
     def adds_to(self, one: "Candidate") -> bool:
         """Tell whether it adds to another's number: so does friction's rise at low speed."""

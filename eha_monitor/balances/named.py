@@ -283,7 +283,9 @@ def within_tolerance(term: Term, rig: Rig, policy: Policy) -> bool:
     """Tell whether a number of the config may be what a term says of it, by its tolerance."""
     found = _configured(term, rig)
     if found is None:
-        return False
+        (value, stddev), held = term.quantity, term.candidate.held
+        return bool(held) and abs(value) <= policy.varied * float(
+            np.hypot(rig.tolerance.effects * held, stddev))
     key, configured, now = found
     # A share of the larger one: what is surely less is so however little is left of it.
     return abs(np.log(now.value / configured)) <= policy.varied * float(np.hypot(

@@ -315,16 +315,17 @@ def is_answer(probability: float, claim: float, policy: SearchPolicy) -> bool:
 def as_configured(experiment: Experiment, effect: NamedEffect) -> bool:
     """Tell whether an effect is one of the config's, refitted, and no other than it says.
 
-    Its sizes are within ``sure`` deviations, or the form error of laws (``law``), of the config's;
-    how a friction turns at a reversal is shape.
+    Its sizes are the config's within ``sure`` deviations and tolerances (``rig.tolerance``); how a
+    friction turns at a reversal is shape.
     """
     written, policy = experiment.settings.effects.get(effect.name), experiment.policy
     if not written:
         return False
     pairs = [(effect.parameters[one.name], written.get(one.name, one.neutral))
              for one in CATALOGUE[effect.name].sizes if one.name in effect.parameters]
+    width = experiment.settings.rig.tolerance.effects
     return bool(pairs) and all(
-        abs(found.value - value) <= max(policy.sure * found.stddev, policy.law * abs(value))
+        abs(found.value - value) <= policy.sure * float(np.hypot(found.stddev, width * value))
         for found, value in pairs)
 
 

@@ -29,7 +29,7 @@ from eha_monitor.quantity import (
 from eha_monitor.settings.channels import CHANNELS
 from eha_monitor.settings.monitor import Settings
 from eha_monitor.settings.own_terms import is_own
-from eha_monitor.settings.rig import Rig, Tolerance
+from eha_monitor.settings.rig import TOLERATED, Rig, Tolerance
 from eha_monitor.units import LARGEST
 from eha_monitor.words import PARAMETER_WORDS, effect_words, listed, probability
 
@@ -330,7 +330,7 @@ def rig_words(finding: RigFinding) -> str:
 
 def tolerance_words(tolerance: Tolerance, key: str) -> str:
     """Return how well a number is known by the config: ``± 20 %``, ``a factor of 3``."""
-    if key not in Tolerance.model_fields:
+    if key not in TOLERATED:
         return "—"
     value = getattr(tolerance, key)
     return f"a factor of {number(value, 3)}" if value > 1.0 else f"± {share(value)}"
@@ -339,7 +339,7 @@ def tolerance_words(tolerance: Tolerance, key: str) -> str:
 def beyond_words(tolerance: Tolerance, finding: RigFinding) -> str:
     """Return by how many of its tolerances a number is off, or a dash where that is not known."""
     ratio = finding.found.value / finding.configured if finding.configured else math.nan
-    if finding.key not in Tolerance.model_fields or not (math.isfinite(ratio) and ratio > 0):
+    if finding.key not in TOLERATED or not (math.isfinite(ratio) and ratio > 0):
         return "—"
     return f"{number(abs(math.log(ratio)) / tolerance.log_spread(finding.key), 2)} tolerances"
 

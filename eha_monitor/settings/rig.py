@@ -37,6 +37,8 @@ class Tolerance(Section):
                                    description="of the charge pressure, relative")
     makeup_conductance: float = Field(3.0, **_FACTOR,
                                       description="of the make-up conductance, a factor")
+    effects: float = Field(0.05, **_RELATIVE, description="of each size of the config's effects "
+                           "(a friction, a spring, a lag), relative")
 
     def log_spread(self, key: str) -> float:
         """Return the standard deviation of the logarithm of a rig key (``mass``)."""
@@ -44,6 +46,9 @@ class Tolerance(Section):
         field = type(self).model_fields[key]
         factor = any(getattr(one, "gt", None) == 1.0 for one in field.metadata)
         return math.log(value) if factor else value
+
+
+TOLERATED = tuple(key for key in Tolerance.model_fields if key != "effects")  # keys of the rig
 
 
 class Rig(Section):

@@ -12,7 +12,7 @@ import numpy as np
 from eha_monitor.mismatch.policy import SearchPolicy
 from eha_monitor.physics.effect import Effect
 from eha_monitor.physics.effects import CATALOGUE
-from eha_monitor.settings.rig import Tolerance
+from eha_monitor.settings.rig import TOLERATED
 
 RIG = "rig."  # before the key of a number
 FORCE_KEYS, DRIVE_KEYS = ("mass", "area_1", "area_2"), ("position_gain",)
@@ -86,7 +86,7 @@ def _candidates() -> dict[str, Candidate]:
     twins = {entry.rig_twin: name for name, entry in CATALOGUE.items() if entry.rig_twin}
     rig = [Candidate(RIG + key, "force" if key in FORCE_KEYS else
                      "drive" if key in DRIVE_KEYS else "flow", key=key, equals=twins.get(key, ""))
-           for key in Tolerance.model_fields]
+           for key in TOLERATED]
     effects = [Candidate(name, entry.balance, entry,
                          equals=RIG + entry.rig_twin if entry.rig_twin else "")
                for name, entry in CATALOGUE.items()]

@@ -42,7 +42,7 @@ from eha_monitor.physics import signals as s
 from eha_monitor.physics.effects import CATALOGUE, NAMES
 from eha_monitor.physics.parameters import BASE_KEYS, effect_values
 from eha_monitor.physics.plant import Y_FLOW, Y_FORCE, Y_P1, Y_P2, Y_SPEED
-from eha_monitor.settings.rig import Tolerance
+from eha_monitor.settings.rig import TOLERATED
 
 ALWAYS = ""  # owner of what every model has
 TANGENT = 0.05  # of a start's size: where the innovations answer in proportion
@@ -237,7 +237,7 @@ def rig_free(experiment: Experiment, beside: Sequence[str] = ()) -> tuple[Free, 
     if experiment.mode == FORCED:
         keys = {"mass"}
     else:
-        keys = set(Tolerance.model_fields)
+        keys = set(TOLERATED)
         if experiment.mode != CLOSED or experiment.wanted_speed:
             keys -= {"position_gain"}
     found = []

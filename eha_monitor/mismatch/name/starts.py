@@ -71,7 +71,7 @@ def configured(experiment: Experiment) -> tuple[str, ...]:
 
 
 def config_free(experiment: Experiment, named: Sequence[str] = ()) -> tuple[Free, ...]:
-    """Return the sizes of the config's effects, each free within the form error of laws.
+    """Return the sizes of the config's effects, each free within its tolerance.
 
     What a data sheet or an earlier diagnosis says of a friction or a lag is a little wrong, as
     each number of the rig is, and with thousands of samples a lag that is 4 % off is an encoder
@@ -83,7 +83,7 @@ def config_free(experiment: Experiment, named: Sequence[str] = ()) -> tuple[Free
     """
     taken = {inner for name in named if name in CATALOGUE
              for inner in (name, *CATALOGUE[name].contains)}
-    found, width = [], experiment.policy.law
+    found, width = [], experiment.settings.rig.tolerance.effects
     for name in configured(experiment):
         if name in taken or not possible(name, experiment):
             continue
