@@ -663,6 +663,23 @@ def test_a_title_that_a_spreadsheet_has_filled_up(tmp_path, above):
     assert list(source_of(file).candidates[1].values[:2]) == [0.5, 1.5]
 
 
+def test_clocks_that_count_hours(tmp_path, capsys):
+    signals = [("Weg [mm]", SEEN["x"] * 1e3), ("Soll [mm]", SEEN["x_d"] * 1e3),
+               ("Druck A [bar]", SEEN["p1"] * 1e-5), ("Druck B [bar]", SEEN["p2"] * 1e-5)]
+    clocks = {"Zeit [h]": TIME, "Zeit": 2.0 * TIME}
+    heads = ["Zeit [h]", *(name for name, _ in signals[:2]), "Zeit",
+             *(name for name, _ in signals[2:])]
+    columns = [clocks[head] / 3600.0 if head in clocks else dict(signals)[head] for head in heads]
+    file = tmp_path / "hours.csv"
+    file.write_text("\n".join(";".join(row) for row in (heads, *(
+        [f"{value:.12g}" for value in row] for row in zip(*columns, strict=True)))) + "\n")
+    status, *_ = init(capsys, file, "--yes", *sets("machine=valve"))
+    table = load_settings("my_rig.yaml").table
+    assert status == 0 and table.time_scale == 3600.0
+    assert {name: column.time_scale for name, column in table.columns.items()
+            if column.time} == {"p1": 3600.0, "p2": 3600.0}
+
+
 @pytest.mark.parametrize("attributes", [False, True])
 @pytest.mark.parametrize("empty", [False, True])
 def test_a_scope_writes_the_time_of_each_task(tmp_path, capsys, attributes, empty):

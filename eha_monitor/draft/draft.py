@@ -30,6 +30,7 @@ from eha_monitor.settings.channels import check_unit, counted_from, unit_of
 from eha_monitor.settings.load import scalar, settings_from_tree, settings_of
 from eha_monitor.settings.monitor import Monitor, Settings
 from eha_monitor.settings.rig import Rig
+from eha_monitor.units import to_si
 
 ASK = "ASK"
 _COLUMN = 34  # where comments begin, if there is room
@@ -319,7 +320,7 @@ def _one(found: Map, finding: ChannelFinding, settings: Settings) -> Map | None:
         scale = finding.correction.get("table", {}).get("time_scale")
         if found.time is None or found.time.sure or scale is None:
             return None
-        unit = next((text for value, text in TIMES.items() if isclose(value, scale, rel_tol=1e-6)),
+        unit = next((text for text in TIMES if isclose(to_si(text, "s"), scale, rel_tol=1e-6)),
                     None)
         return unit and replace(found, time=replace(found.time, unit=unit, why=_told(finding)))
     if any(name not in found.channels for name in names) or "channels" not in finding.correction:

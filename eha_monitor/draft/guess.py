@@ -9,6 +9,7 @@ from eha_monitor.draft.sources import Candidate, Source
 from eha_monitor.draft.words import ANGLES, beside_chamber, plain, words_of
 from eha_monitor.errors import InputError
 from eha_monitor.settings.channels import CHANNELS
+from eha_monitor.units import to_si
 
 # Quantity -> (largest absolute value below which, unit): what a rig shows, coarsest guess.
 _LEVELS = {
@@ -21,7 +22,7 @@ _LEVELS = {
     "temperature": ((200.0, "degC"), (np.inf, "K")),
 }
 _EPOCHS = ((1e17, "1 ns"), (1e14, "1 us"), (1e11, "1 ms"))
-TIMES = {1e-3: "1 ms", 1.0: "1 s", 1e-6: "1 us", 1e-9: "1 ns", 60.0: "1 min"}  # s per unit
+TIMES = ("1 ms", "1 s", "1 us", "1 ns", "1 min", "1 h")  # that a logger counts
 REGULAR = 0.95  # of the steps of a time go forward
 LAGS = 400  # samples looked ahead and behind
 
@@ -243,21 +244,17 @@ def _on_their_clocks(channels: dict[str, Guess], time: Guess, columns: tuple[Can
     if len({id(one) for one in own if one is not None}) < 2 or (
             time.candidate.values.dtype.kind == "M"):
         return channels
-    stamps = _seconds(time.unit) * time.candidate.values
+    stamps = to_si(time.unit, "s") * time.candidate.values
     found = {}
     for name, guess in channels.items():
         clock = next(its for one, its in zip(columns, own, strict=True) if one is guess.candidate)
         if clock is not None and clock is not time.candidate:
             told = _unit_beside(clock, stamps)
-            late = np.abs(_seconds(told.unit) * clock.values - stamps)
+            late = np.abs(to_si(told.unit, "s") * clock.values - stamps)
             if np.nanmax(late) > 0.5 * np.nanmedian(steps_of(stamps)):
                 guess = replace(guess, clock=told)
         found[name] = guess
     return found
-
-
-def _seconds(unit: str) -> float:
-    return next(scale for scale, name in TIMES.items() if name == unit)
 
 
 def _unit_beside(clock: Candidate, stamps: np.ndarray) -> Guess:
@@ -265,8 +262,8 @@ def _unit_beside(clock: Candidate, stamps: np.ndarray) -> Guess:
     if clock.header.kind == "time":
         return Guess(clock, f"1 {clock.header.unit}", f"header: '{clock.shown}'", sure=True)
     lasts = np.ptp(stamps[np.isfinite(stamps)])
-    spans = {name: scale * float(np.nanmax(clock.values) - np.nanmin(clock.values)) / lasts
-             for scale, name in TIMES.items() if name != "1 min"}
+    spans = {name: to_si(name, "s") * float(np.nanmax(clock.values) - np.nanmin(clock.values))
+             / lasts for name in TIMES}
     return Guess(clock, min(spans, key=lambda name: abs(np.log(spans[name]))),
                  f"the time to the left of it: '{clock.shown}'")
 
@@ -332,7 +329,7 @@ def _moves(one: Candidate) -> bool:
 def _is_rate(one: Candidate, positions: list[Candidate], time: Candidate | None) -> bool:
     if not positions or time is None or time.values.dtype.kind == "M":
         return False
-    scale = {"1 ms": 1e-3, "1 us": 1e-6}.get(_time_guess(time, False).unit, 1.0)
+    scale = to_si(_time_guess(time, False).unit, "s")
     return is_rate_of(one.values, positions[0].values,
                       scale * float(np.median(steps_of(time.values))))
 
