@@ -219,6 +219,8 @@ def _composed(models: Sequence[Model], courses: Sequence[Course], settings: Sett
         effects, wrong, within = [], (), ()
         after = {name: value for name, value in after.items() if BALANCE_OF[name] in learned}
     where, curves = place_of(shown, courses, effects, wrong, verdict)
+    drift = _drift_of(models, policy)
+    warmed = () if drift is None else (_warmed(drift, len(courses)),)
     message = "; ".join([
         *(one.statement for one in (*wrong, *effects)),
         *(f"of what varies in the {one.balance}, {share(one.error, 2)} has no name"
@@ -227,7 +229,7 @@ def _composed(models: Sequence[Model], courses: Sequence[Course], settings: Sett
           for one in open_),
         *(term.message for term in learned.values()),
         *map(_unsure_words, [one for one in unsure if one.balance not in nameless])]) or (
-        _agreeing_words(models, within, policy))
+        "; ".join((_agreeing_words(models, within, policy), *warmed)))
     return Diagnosis(
         (), verdict, message, where, tuple(effects), before, after, "held_out",
         {one.balance: SignalFit(SIDES[one.balance], one.nominal_error * one.size,
@@ -237,7 +239,8 @@ def _composed(models: Sequence[Model], courses: Sequence[Course], settings: Sett
         # What a balance lacks bends its own parameter; least squares on the other do not see it.
         health=tuple(sentence for name, value in before.items() for sentence in health_sentences(
             {name: value}, after, [e for e in effects if e.balance == BALANCE_OF[name]])
-        ) + _warmed(models, policy),
+        ) + warmed,
+        drift=drift,
         config_effects=config_effects(models, effects, settings) | {
             f"learned_{term.adds}": term.entry for term in learned.values()},
         learned=tuple(learned.values()),
@@ -248,15 +251,20 @@ def _composed(models: Sequence[Model], courses: Sequence[Course], settings: Sett
             for one in model.refused))
 
 
-def _warmed(models: Sequence[Model], policy: Policy) -> tuple[str, ...]:
-    """Return by how much damping changes from start to end of a recording, usually, in words."""
+def _drift_of(models: Sequence[Model], policy: Policy) -> Value | None:
+    """Return by how much damping changes from start to end of a recording, usually."""
     drift = next((term for one in models if (term := one["B_t"]) is not None), None)
     if drift is None or not policy.sure(*drift.quantity):
-        return ()
-    by = 2.0 * float(np.median(drift.each or (drift.value,)))
-    return (f"viscous damping {'falls' if by < 0.0 else 'rises'} by "
-            f"{with_uncertainty(abs(by), 2.0 * drift.quantity[1], drift.candidate.unit)} within "
-            f"{'the usual' if drift.each else 'the'} recording, as in oil that warms or cools",)
+        return None
+    return Value(2.0 * float(np.median(drift.each or (drift.value,))), 2.0 * drift.quantity[1],
+                 drift.candidate.unit)
+
+
+def _warmed(drift: Value, recordings: int) -> str:
+    """Return that damping changes along the recordings, in words."""
+    return (f"viscous damping {'falls' if drift.value < 0.0 else 'rises'} by "
+            f"{with_uncertainty(abs(drift.value), drift.stddev, drift.unit)} within "
+            f"{'the usual' if recordings > 1 else 'the'} recording, as in oil that warms or cools")
 
 
 def _agreeing_words(models: Sequence[Model], within: Sequence[RigFinding], policy: Policy) -> str:

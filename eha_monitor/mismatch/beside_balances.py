@@ -44,7 +44,7 @@ def instead_of_filter(first: Diagnosis, filtered: Filtered, recordings: list[Rec
     found = filtered.answer
     judges = recordings if asked.held_out is None else [asked.held_out]
     agrees = agrees_closely(first)
-    beyond = far_from_config(first) or bool(first.learned)
+    beyond = far_from_config(first) or bool(first.learned) or drifts(first)
     # Where a filter leaves something, its names make up for laws that it does not have.
     if found.verdict == "mismatch" and not filtered.follows and (agrees or beyond):
         return first
@@ -77,6 +77,12 @@ def far_from_config(found: Diagnosis | None) -> bool:
         fit.before_rms / fit.signal_rms > POLICY.near
         and fit.after_rms / fit.signal_rms < POLICY.open * (fit.before_rms / fit.signal_rms)
         for fit in found.signals.values())
+
+
+def drifts(found: Diagnosis) -> bool:
+    """Tell whether damping changes while a recording runs, as no law of a filter does."""
+    return found.drift is not None and "B" in found.after and (
+        abs(found.drift.value) > POLICY.between * found.after["B"].value)
 
 
 def force_is_closed(found: Diagnosis) -> bool:

@@ -378,6 +378,7 @@ class Diagnosis:
     policy : the numbers that decided names.
     change_points : where a number changed while a recording ran; all else is of the state since.
     events : what disturbed a recording for a while; all else is of the rest.
+    drift : by how much viscous damping changes from start to end, where it surely does.
     blind : balances that the references leave mostly unexplained, so that a change may be missed.
     """
 
@@ -418,6 +419,7 @@ class Diagnosis:
     policy: dict[str, float] = field(default_factory=dict)
     remarks: tuple[str, ...] = ()
     change_points: tuple[ChangePoint, ...] = ()
+    drift: Value | None = None
     blind: tuple[str, ...] = ()
     events: tuple[Event, ...] = ()
 
