@@ -275,9 +275,14 @@ def _agreeing_words(models: Sequence[Model], within: Sequence[RigFinding], polic
     """
     left = [f"{share(one.error, 2)} of the {one.balance}" for one in models
             if one.error > max(policy.worse, policy.clean * one.floor / one.size)]
-    moved = [f"{one.key} is {other}, where it has {given}" for one in within
-             for given, other in [side_by_side(one.configured, one.found.value, one.found.stddev,
-                                               one.found.unit)]]
+    off = [(one.key, one.configured, one.found) for one in within]
+    off += [(f"{term.candidate.effect}.{term.candidate.symbol}", term.candidate.held,
+             Value(term.candidate.held + value, stddev, term.candidate.unit))
+            for one in models for term in one.terms if term.candidate.held
+            for value, stddev in [term.quantity] if policy.sure(value, stddev)]
+    moved = [f"{key} is {other}, where it has {given}" for key, configured, found in off
+             for given, other in [side_by_side(configured, found.value, found.stddev,
+                                               found.unit)]]
     return "the config's own model explains the balances of this recording" + (
         f", if {listed(moved)} (within three tolerances)" if moved else "") + (
         f" but for {listed(left)}, of which no effect of the catalogue explains more" if left
