@@ -157,8 +157,8 @@ ModulusLimits = _limits_in("Pa", "ModulusLimits", (1e5, 1e12))
 class Thresholds(Section):
     """Alarm limits on the two health parameters, in their SI units.
 
-    A limit that is left out keeps its default, unless that is out of order with those given;
-    null switches it off.
+    A limit that is left out is the paper's, unless that is out of order with those given or the
+    rig is another one (:attr:`Rig.is_papers`); null switches it off.
     """
 
     viscous_damping: DampingLimits = Field(
@@ -169,22 +169,25 @@ class Thresholds(Section):
         description="limits on the effective bulk modulus, Pa")
     confidence: Si("1", "standard deviations by which a value must be beyond a limit", ge=0) = 2.0
 
-    @model_validator(mode="before")
-    @classmethod
-    def _keep_default_limits(cls, given):
-        if not isinstance(given, dict):
-            return given
-        filled = dict(given)
+    def beside(self, rig: Rig) -> "Thresholds":
+        """Return the limits with those that a rig has where none are given."""
+        sections = {}
         for name in ("viscous_damping", "bulk_modulus"):
-            if isinstance(filled.get(name), dict):
-                filled[name] = _with_defaults(filled[name], cls.model_fields[name].default)
-        return filled
+            section = getattr(self, name)
+            given = section.model_fields_set if name in self.model_fields_set else set()
+            kept = {key: getattr(section, key) for key in type(section).model_fields
+                    if key not in LIMITS or key in given}
+            if rig.is_papers:
+                kept = _with_defaults(kept, type(self).model_fields[name].default)
+            sections[name] = type(section).model_construct(given, **kept)
+        return type(self).model_construct(self.model_fields_set, **sections,
+                                          confidence=self.confidence)
 
 
 def _with_defaults(section: dict, defaults: Limits) -> dict:
-    """Fill in the default limits, those left out that would not be in order with the given."""
+    """Fill in the default limits, those left out that are in order with the given."""
     filled = dict(section)
-    numbers = {key: section[key] for key in LIMITS if isinstance(section.get(key), int | float)}
+    numbers = {key: section[key] for key in LIMITS if section.get(key) is not None}
     for place, key in enumerate(LIMITS):
         default = getattr(defaults, key)
         if key in section or default is None:
@@ -308,7 +311,8 @@ class Settings(Section):
         "refuse", description="handling of a recording whose channels contradict this config "
                               "(signs, units, swapped channels): refuse it, or process it with a "
                               "warning")
-    thresholds: Thresholds = Field(Thresholds(), description="alarm limits")
+    thresholds: Thresholds = Field(Thresholds(), description="alarm limits; the defaults are for "
+                                   "the paper's rig, and another one has none")
     viscosity: Viscosity = Field(Viscosity(), description="temperature compensation of B and of "
                                  "leakage")
     health: Health = Field(Health(), description="reference conditions and limits of the health "
@@ -325,6 +329,11 @@ class Settings(Section):
     def frame_id(self) -> str:
         """The frame_id of published messages: that of the config, else the rig's name."""
         return self.monitor.frame_id or self.rig.name
+
+    @model_validator(mode="after")
+    def _limits_of_the_rig(self):
+        object.__setattr__(self, "thresholds", self.thresholds.beside(self.rig))
+        return self
 
     @model_validator(mode="after")
     def _units_of_the_channels(self):

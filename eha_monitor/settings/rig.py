@@ -51,6 +51,9 @@ class Tolerance(Section):
 TOLERATED = tuple(key for key in Tolerance.model_fields if key != "effects")  # keys of the rig
 
 
+SIZES = ("area_1", "area_2", "volume_1", "volume_2", "mass", "pump_displacement")
+
+
 class Rig(Section):
     """Constants of the actuator; the defaults are the paper's EHA.
 
@@ -93,6 +96,14 @@ class Rig(Section):
     tolerance: Tolerance = Field(Tolerance(), description="one standard deviation of each value; "
                                                           "diagnose fits it within that without "
                                                           "reporting it")
+
+    @property
+    def is_papers(self) -> bool:
+        """Whether it may be the paper's EHA: what it has is within three tolerances of that."""
+        return self.motion == "linear" and all(
+            abs(math.log(value / type(self).model_fields[key].default))
+            <= 3.0 * self.tolerance.log_spread(key)
+            for key in SIZES if (value := getattr(self, key)) is not None)
 
     @model_validator(mode="after")
     def _makeup_within_leakage(self):
