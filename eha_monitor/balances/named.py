@@ -47,7 +47,8 @@ def effects_of(model: Model, rig: Rig, policy: Policy, held: Effects) -> list[Na
     """
     named = [t for t in model.terms if (t.named or _leaks_more(t, policy))
              and t.candidate.name not in (*LINEAR, LEARNED)
-             and not weightless(t, rig, policy) and not within_tolerance(t, rig, policy)
+             and not within_tolerance(t, rig, policy)
+             and not (t.candidate.name == "dM" and t.value < 0.0)  # less is a wrong number
              and (t.candidate.family == DRY or policy.sure(*t.presence))]
     groups: dict[str, list[Term]] = {}
     for term in named:
