@@ -143,8 +143,7 @@ class _Parts:
             f"at {start:.1f}–{stop:.1f} s a load of {quantity(mean, unit, 2)} on average acts "
             "against positive motion, and else none"))
 
-    def best(self, order: np.ndarray
-             ) -> tuple[float, tuple[int, int], float, float, np.ndarray]:
+    def best(self, order: np.ndarray) -> tuple[float, tuple[int, int], float, float, np.ndarray]:
         """Return the interval of blocks, in an order, that is most unlike the rest.
 
         Returns

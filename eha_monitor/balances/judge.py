@@ -41,8 +41,7 @@ def judge(machine: Machine, courses: Sequence[Course], settings: Settings) -> Ju
         value, stddev = setting_of(table, [table.places[name] for name in held],
                                    [table.places[name] for name in free],
                                    np.array(list(held.values())))
-        own |= {name: (float(v), float(d)) for name, v, d in zip(free, value, stddev,
-                                                                 strict=True)}
+        own |= {name: (float(v), float(d)) for name, v, d in zip(free, value, stddev, strict=True)}
         left = Beside(one, table, held, free, loose, machine.policy, (
             rig.volume_1 or 0.0) / rig.bulk_modulus)
         beside = left.judged(machine)

@@ -38,14 +38,7 @@ from eha_monitor.balances.measured import course_within
 from eha_monitor.balances.oil import compressibility
 from eha_monitor.balances.together import of_one_machine
 from eha_monitor.errors import InputError
-from eha_monitor.estimation.results import (
-    EVERY_S,
-    LOOK_S,
-    ONE,
-    TWO,
-    Beside,
-    ParameterEstimate,
-)
+from eha_monitor.estimation.results import EVERY_S, LOOK_S, ONE, TWO, Beside, ParameterEstimate
 from eha_monitor.estimation.rig_model import force_of
 from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.recordings.recording import Recording, rows_of, sample_of

@@ -55,8 +55,7 @@ def _much(moved: Moved, machine: Machine) -> bool:
     return abs(moved.here - moved.machine) > machine.policy.near * abs(before)
 
 
-def _at_temperature(machine: Machine, judged: Judged, viscosity: float, name: str
-                    ) -> Moved | None:
+def _at_temperature(machine: Machine, judged: Judged, viscosity: float, name: str) -> Moved | None:
     """Return B or L where it has changed at the temperature of its oil; None where it has not.
 
     Nor is a leakage said beside what moves it by itself: another leak, or a sensor of pressure.
