@@ -23,8 +23,8 @@ from eha_monitor.physics import signals as s
 from eha_monitor.physics.contributions import ALL_NAMES, circuit_of
 from eha_monitor.physics.plant import N_OUTPUTS, Y_P1, Y_P2, Y_V, Y_X
 from eha_monitor.quantity import quantity, share
+from eha_monitor.recordings.columns import stretches
 from eha_monitor.recordings.grid import filled
-from eha_monitor.recordings.position import stretches
 
 SIGNALS = ("position", "velocity", "pressure_1", "pressure_2", "pump_speed")
 UNITS = ("m", "m/s", "Pa", "Pa", "rad/s")
