@@ -10,7 +10,7 @@ from eha_monitor.balances.answer import overlay_of, place_of, still
 from eha_monitor.balances.candidates import SIDES, balances_in
 from eha_monitor.balances.change_words import WORDS, advice_beside, change_of, in_share, message_of
 from eha_monitor.balances.course import Course
-from eha_monitor.balances.judge import within_stroke
+from eha_monitor.balances.judge import source_of, within_stroke
 from eha_monitor.balances.judged import Judged, JudgedBalance, Moved, explains, left_unseen
 from eha_monitor.balances.least_squares import beside
 from eha_monitor.balances.machine import LEAST, Machine, of_another
@@ -22,7 +22,6 @@ from eha_monitor.balances.places import binned
 from eha_monitor.balances.policy import POLICY
 from eha_monitor.balances.scatter import limit_of
 from eha_monitor.balances.sensor_error import without_sensor_error
-from eha_monitor.balances.source import source_of
 from eha_monitor.balances.warmth import at_oil, viscosity_of
 from eha_monitor.errors import InputError
 from eha_monitor.mismatch.diagnosis import (
