@@ -230,7 +230,7 @@ class Stream:
 BATCH_BYTES = 8_000_000  # small chunks are joined, so that the work for each is paid once
 
 
-def read_recording(path: str | Path, settings: Settings, streamed: bool = True) -> Recording:
+def read_recording(path: str | Path, settings: Settings) -> Recording:
     """Read a rosbag2 mcap bag through the channel map of the config.
 
     Raises InputError if there is no bag, or none of its messages gives a channel.
@@ -239,15 +239,15 @@ def read_recording(path: str | Path, settings: Settings, streamed: bool = True) 
     ----------
     path : folder with metadata.yaml and .mcap files, or one .mcap file; whole or cut off.
     settings : ``channels``, ``monitor.namespace`` and ``rig.sample_time`` are read.
-    streamed : whether a long bag is put on its grid as it comes, where its stamps are even.
     """
     try:
-        return _read(path, settings, streamed)
+        return _read(path, settings, streamed=True)
     except NotEvenError:
         return _read(path, settings, streamed=False)
 
 
 def _read(path: str | Path, settings: Settings, streamed: bool) -> Recording:
+    """Read a bag; ``streamed``: put a long one on its grid as it comes."""
     bag = Bag(path)
     collector = Collector(settings, streamed)
     for file, block in bag.blocks():
