@@ -12,14 +12,14 @@ from pathlib import Path
 
 import numpy as np
 
-from eha_monitor.errors import InputError, one_line
+from eha_monitor.errors import InputError
 from eha_monitor.recordings import align as whole
 from eha_monitor.recordings import cdr
-from eha_monitor.recordings.align import align, released
+from eha_monitor.recordings.align import align
 from eha_monitor.recordings.bag import Bag
 from eha_monitor.recordings.cdr import Series, TopicReader, Want, types_of
 from eha_monitor.recordings.columns import PIECE, Column
-from eha_monitor.recordings.grid import JITTER, Grid, fit_grid, repair, simple_step, tell_gaps
+from eha_monitor.recordings.grid import JITTER, Grid, fit_grid, repair, simple_step
 from eha_monitor.recordings.recording import CHANNELS, LARGEST, Recording
 from eha_monitor.settings.channels import DEFAULT_CHANNELS, Channel
 from eha_monitor.settings.monitor import Settings
@@ -200,11 +200,7 @@ class Stream:
             if values is not None:
                 columns[name] = values
         columns = {name: columns[name] for name in CHANNELS if name in columns}
-        columns = released(columns, grid.step, said)
-        tell_gaps(columns, grid.step, said)
-        return Recording(grid.step, columns,
-                         max(0, self.origin + round(grid.start * 1e9)), source,
-                         tuple(dict.fromkeys(map(one_line, said))))
+        return whole.recording_of(columns, grid, self.origin, source, said)
 
     def _interpolated(self, series: Series, label: str, points: int, name: str,
                       said: list[str]) -> np.ndarray | None:
