@@ -29,7 +29,7 @@ from rosbags.rosbag2 import Writer as RosbagsWriter
 from rosbags.typesys import Stores, get_typestore
 
 from eha_monitor.recordings.bag import Bag
-from eha_monitor.recordings.read import Collector, read_recording
+from eha_monitor.recordings.read import Collector, _read
 from eha_monitor.recordings.write import BagWriter, messages_of
 from eha_monitor.settings import Settings
 
@@ -180,7 +180,7 @@ def main() -> None:
     parser.add_argument("--read", nargs=2, help=argparse.SUPPRESS)
     asked = parser.parse_args()
     if asked.read:
-        read_recording(asked.read[1], Settings(), streamed=asked.read[0] == "streamed")
+        _read(asked.read[1], Settings(), streamed=asked.read[0] == "streamed")
         status = Path("/proc/self/status").read_text().split("VmHWM:")[1]
         print(int(status.split()[0]) / 1024)
         return

@@ -1,6 +1,8 @@
 """The one exception that a user is meant to see, and words that several of them have."""
 
 import re
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 # Names out of a broken file may hold anything: line breaks of every alphabet, terminal controls.
 _CONTROLS = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029]+")
@@ -30,3 +32,17 @@ class InputError(Exception):
 
     def __init__(self, message: str):
         super().__init__(one_line(message))
+
+
+@contextmanager
+def optional(words: str, extra: str) -> Iterator[None]:
+    """Say in one line which extra is missing, where an import inside the block fails.
+
+    ``words`` : what needs it, with ``{}`` where the reason stands.
+    """
+    try:
+        yield
+    except ImportError as problem:
+        if (problem.name or "").startswith("eha_monitor"):
+            raise  # a defect of ours is no missing package
+        raise InputError(words.format(problem) + installs(extra)) from problem

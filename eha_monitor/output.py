@@ -122,6 +122,12 @@ def _write(path: Path, content: str | bytes, mode: str, **how: str) -> None:
 PACKAGE = Path(__file__).parent
 
 
+def environment() -> dict[str, str]:
+    """Return the environment of a process that is to run this very source."""
+    known = filter(None, [os.environ.get("PYTHONPATH")])
+    return os.environ | {"PYTHONPATH": os.pathsep.join([str(PACKAGE.parent), *known])}
+
+
 def source_digest(rooms: Iterable[str], counts: Callable[[Path], bool] = lambda path: True) -> str:
     """Return a digest of the source files of some rooms (folders, or single files) that count."""
     digest = hashlib.sha256()

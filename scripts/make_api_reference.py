@@ -109,7 +109,7 @@ def record(one) -> list[str]:
 def part(one) -> list[str]:
     """Return a record that stands in another: its docstring, then its fields with their types."""
     fields = [f"`{name}`: {annotation(member.annotation)}" for name, member
-              in one.members.items() if member.is_attribute and name[0] != "_"
+              in one.all_members.items() if member.is_attribute and name[0] != "_"
               and member.annotation is not None and "property" not in member.labels]
     return [f"### `{one.name}`\n", *sections(one.docstring, short=True),
             f"Fields: {', '.join(fields)}.\n"]

@@ -25,7 +25,7 @@ from eha_monitor.balances.candidates import (
     Scale,
     candidates_of,
 )
-from eha_monitor.balances.changed import against
+from eha_monitor.balances.changed import against, softened
 from eha_monitor.balances.course import BOTH, IN_TURN, oil_of
 from eha_monitor.balances.least_squares import unexcluded
 from eha_monitor.balances.machine import machine_from
@@ -33,7 +33,6 @@ from eha_monitor.balances.measured import course_of, course_within
 from eha_monitor.balances.oil import compressibility
 from eha_monitor.balances.policy import POLICY
 from eha_monitor.balances.scatter import amplitudes_of
-from eha_monitor.balances.softened import softened
 from eha_monitor.balances.table import pooled_table, tables_of
 from eha_monitor.balances.together import of_one_machine
 from eha_monitor.concealed.cases import Case

@@ -15,6 +15,7 @@ from rig_tools import settings as rig_settings
 
 from eha_monitor.cli import main
 from eha_monitor.errors import InputError
+from eha_monitor.identify import plan
 from eha_monitor.identify.experiment import (
     NEEDED,
     Round,
@@ -65,13 +66,13 @@ def test_where_no_set_follows_another_motion_is_run_and_least_squares_decide_not
     assert (last.names, last.probability, last.end) == ({"coulomb_friction"}, 0.95, "balances")
 
 
-def test_a_rest_that_shows_nothing_is_followed_by_a_motion():
+def test_a_rest_that_shows_nothing_is_followed_by_a_motion(monkeypatch):
     settings = load_settings(CONFIG)
     bounds = bounds_of(settings, CONFIG)
     turns = iter([lambda found: replace(found[0], x_d=np.zeros(2000))])
-    planner = Planner(settings, bounds, CONFIG, choose=lambda found: next(
-        turns, most_decisive)(found))
-    first, *_, last = identify(SimulatedRig(settings, bounds, 1, CONFIG), planner)
+    monkeypatch.setattr(plan, "most_decisive", lambda found: next(turns, most_decisive)(found))
+    first, *_, last = identify(SimulatedRig(settings, bounds, 1, CONFIG),
+                               Planner(settings, bounds, CONFIG))
     assert first.diagnosis.verdict == "insufficient_data" and not first.end
     assert np.ptp(last.planned.x_d) > 0.01 and last.diagnosis.verdict == "consistent"
 

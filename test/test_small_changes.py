@@ -14,10 +14,9 @@ from machine_tools import healthy_machine
 from eha_monitor.balances.candidates import Scale, candidates_of
 from eha_monitor.balances.changed import against
 from eha_monitor.balances.course import IN_TURN
-from eha_monitor.balances.judge import judge
+from eha_monitor.balances.judge import judge, steadier
 from eha_monitor.balances.measured import course_of
 from eha_monitor.balances.together import of_one_machine
-from eha_monitor.balances.viscous import steadier
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings import settings_from_tree
 

@@ -8,14 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from eha_monitor.api.common import READING, Progress, Record, calling, chosen, frame_of, reporter
 from eha_monitor.api.config import Config
-from eha_monitor.api.read import (
-    Several,
-    checked,
-    config_for,
-    distinct,
-    recordings_of,
-    several,
-)
+from eha_monitor.api.read import Several, checked, config_for, distinct, recordings_of, several
 from eha_monitor.compiled import load_runtime
 from eha_monitor.mismatch.advise.advice import advise as run
 from eha_monitor.mismatch.advise.identifiability import Confusion, DetectionLimit, Known

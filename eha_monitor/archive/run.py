@@ -15,7 +15,7 @@ from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wai
 from concurrent.futures.process import BrokenProcessPool
 from typing import Any
 
-from eha_monitor.errors import InputError, installs
+from eha_monitor.errors import InputError, optional
 
 DIED = "the process that read it was killed (by the system, out of memory?)"
 PATIENCE = 5.0  # s in which a scheduler must answer
@@ -105,11 +105,8 @@ class Cluster:
 
     def __init__(self, address: str):
         self.address = address
-        try:
+        with optional("--scheduler needs distributed, which cannot be imported ({}); ", "dask"):
             import distributed
-        except ImportError as problem:
-            raise InputError("--scheduler needs distributed, which cannot be imported "
-                             f"({problem}); {installs('dask')}") from problem
         import logging
 
         # It tells of a lost connection in many lines; we do in one.

@@ -20,7 +20,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from urllib.parse import quote
 
-from eha_monitor.errors import InputError, installs
+from eha_monitor.errors import InputError, optional
 from eha_monitor.indicators.indicator import WORDS
 from eha_monitor.output import write_bytes
 
@@ -132,11 +132,8 @@ def columns_of(command: str) -> tuple[Column, ...]:
 
 def check_parquet() -> None:
     """Say in one line, before the work, that the library for the table is missing."""
-    try:
+    with optional("a table of bags needs pyarrow, which cannot be imported ({}); ", "archive"):
         import pyarrow.parquet  # noqa: F401
-    except ImportError as problem:
-        raise InputError(f"a table of bags needs pyarrow, which cannot be imported ({problem}); "
-                         + installs("archive")) from problem
 
 
 class Store:

@@ -13,11 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from eha_monitor.balances.course import Course
-from eha_monitor.balances.least_squares import (
-    independent,
-    inverse_of,
-    signed_solution,
-)
+from eha_monitor.balances.least_squares import independent, inverse_of, signed_solution
 from eha_monitor.balances.measured import course_of, known_of
 from eha_monitor.balances.table import areas_apart, flow_columns
 from eha_monitor.balances.together import of_one_machine

@@ -11,6 +11,9 @@ gain over all terms and times is a change where
 - delta is as far from nothing as a name owes, by chance, and as what is sure also by its form:
   a missing law that looks like a term looks like it before and after, in the same motion.
 
+1/beta_e shows in a wider band than the other numbers (:mod:`oil`), and a few strokes hold it: so
+it is fitted to parts of a recording, and the mean before is compared with the mean since.
+
 Bai and Perron 1998 for one change by least squares; the judgement on unseen blocks stands in the
 place of their critical values, which hold for independent samples only.
 """
@@ -28,7 +31,7 @@ from eha_monitor.balances.contact import contacts_of
 from eha_monitor.balances.course import Course
 from eha_monitor.balances.least_squares import independent, inverse_of, rms, signed_solution
 from eha_monitor.balances.measured import course_of
-from eha_monitor.balances.oil_change import oil_change
+from eha_monitor.balances.oil import compressibility
 from eha_monitor.balances.policy import POLICY, Policy
 from eha_monitor.balances.table import FOLDS, Table, tables_of
 from eha_monitor.balances.together import of_one_machine
@@ -37,12 +40,17 @@ from eha_monitor.mismatch.diagnosis import ChangePoint, Value
 from eha_monitor.quantity import with_uncertainty
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings.monitor import Settings
+from eha_monitor.settings.rig import Rig
 from eha_monitor.words import effect_words, listed
 
 BLOCKS = 64  # at most: those of a long recording are joined
 FEWEST, LEAST = 3, 0.15  # blocks on either side, and their share
 DAMPING, DRIFT, COMPLIANCE = "B", "viscous_drift", "C_h"
 BEYOND = " beyond the config's"
+# Of the oil, whose 1/beta_e is fitted to parts of a recording.
+PART_S = 5.0  # of motion: some strokes
+MOST_PARTS = 12  # those of a long recording are longer
+FEWEST_PARTS = 2  # on either side, of which a step is the mean
 
 
 def since_change(recordings: Sequence[Recording], settings: Settings, policy: Policy = POLICY
@@ -56,12 +64,24 @@ def since_change(recordings: Sequence[Recording], settings: Settings, policy: Po
         point = change_point(recording, settings, policy)
         if point is not None:
             found.append(point)
-            before = recording.time < point.since_s
-            recording = replace(recording, channels={
-                name: np.where(before, np.nan, values)
-                for name, values in recording.channels.items()})
+            recording = blanked(recording, recording.time < point.since_s)
         kept.append(recording)
     return kept, tuple(found)
+
+
+def blanked(recording: Recording, rows: np.ndarray) -> Recording:
+    """Return a recording without a number in some rows, (n,) bool; it keeps its time."""
+    return replace(recording, channels={name: np.where(rows, np.nan, values)
+                                        for name, values in recording.channels.items()})
+
+
+def motion_of(recording: Recording, settings: Settings, policy: Policy) -> Course | None:
+    """Return a recording's motion; None of one without a force balance."""
+    try:
+        course = course_of(recording, settings)
+    except InputError:
+        return None
+    return of_one_machine([course], settings.rig, policy)[0] if course.shows else None
 
 
 def change_point(recording: Recording, settings: Settings, policy: Policy = POLICY
@@ -70,14 +90,9 @@ def change_point(recording: Recording, settings: Settings, policy: Policy = POLI
 
     Of a recording without a force balance nothing is said.
     """
-    rig = settings.rig
-    try:
-        course = course_of(recording, settings)
-    except InputError:
+    rig, course = settings.rig, motion_of(recording, settings, policy)
+    if course is None:
         return None
-    if not course.shows:
-        return None
-    (course,) = of_one_machine([course], rig, policy)
     scale = Scale.of([course], contacts_of([course], policy))
     found = []
     for balance in balances_in([course], rig):
@@ -279,3 +294,48 @@ def _left(fit: np.ndarray, judge: np.ndarray, signs: np.ndarray, least: np.ndarr
     """Return the squares that a fit on some products leaves of others."""
     mixture = np.append(1.0, -signed_solution(fit[1:, 1:], fit[1:, 0], signs, least))
     return max(float(mixture @ judge @ mixture), 1e-300)
+
+
+def oil_change(course: Course, rig: Rig, policy: Policy) -> ChangePoint | None:
+    """Return when 1/beta_e stepped, None where it did not.
+
+    A step is surely there, and more than the ``between`` by which the oil of a machine differs
+    from recording to recording.  The deviations hold what the rest of the flow may look like, the
+    same before and since: of healthy oil no step of 200 recordings came to 2 of them.  Parts whose
+    motion does not determine the oil count for none.
+    """
+    count = min(MOST_PARTS, int(course.seconds / PART_S))
+    if count < 2 * FEWEST_PARTS or not course.has_flow:
+        return None
+    t = np.arange(len(course)) * course.dt
+    edges = np.linspace(t[course.good][0], t[course.good][-1], count + 1)
+    parts = np.searchsorted(edges, t, side="right") - 1
+    cut = [replace(course, good=course.good & (parts == i), moving=course.moving & (parts == i))
+           for i in range(count)]
+    known = [(i, term.value, term.stddev) for i, part in enumerate(cut)
+             if part.has_flow and (term := compressibility(part, rig)) is not None]
+    if len(known) < 2 * FEWEST_PARTS:
+        return None
+    place, value, stddev = (np.array(column) for column in zip(*known, strict=True))
+    weight = 1.0 / stddev**2
+    steps = []
+    for k in range(FEWEST_PARTS, len(known) - FEWEST_PARTS + 1):
+        before, since = (float(np.average(value[some], weights=weight[some]))
+                         for some in (slice(None, k), slice(k, None)))
+        # Their form is the same in all parts: it is no chance, and no number of parts narrows it.
+        apart = float(np.hypot(*(np.median(stddev[some]) for some in (
+            slice(None, k), slice(k, None)))))
+        steps.append((abs(since - before) / apart, before, since, apart, k))
+    size, before, since, apart, k = ties.best(steps, lambda step: step[0])
+    if size < policy.varied or abs(since - before) < policy.between * before:
+        return None
+    start, stop = float(edges[place[k - 1]]), float(edges[place[k] + 1])
+    moduli = [1.0 / one for one in (before, since)]
+    error = apart / since**2
+    words = " to ".join((with_uncertainty(moduli[0], apart / before**2, "Pa"),
+                         with_uncertainty(moduli[1], error, "Pa")))
+    return ChangePoint(
+        course.source, start, stop, "bulk_modulus", "beta_e", "flow",
+        Value(moduli[1] - moduli[0], float(np.hypot(apart / before**2, error)), "Pa"), 0.0,
+        f"between {start:.1f} and {stop:.1f} s the effective bulk modulus "
+        f"{'rose' if moduli[1] > moduli[0] else 'fell'} from {words}")

@@ -10,10 +10,7 @@ from eha_monitor.balances.judged import Judged, JudgedBalance, Moved
 from eha_monitor.balances.machine import Machine
 from eha_monitor.balances.oil import Stiffness
 from eha_monitor.balances.policy import POLICY
-from eha_monitor.mismatch.diagnosis import (
-    Change,
-    Value,
-)
+from eha_monitor.mismatch.diagnosis import Change, Value
 from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.quantity import number, share, with_uncertainty
 from eha_monitor.settings.monitor import Settings

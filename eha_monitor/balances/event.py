@@ -19,13 +19,10 @@ import numpy as np
 
 from eha_monitor import ties
 from eha_monitor.balances.candidates import PLAIN, SIDES, Scale, candidates_of
-from eha_monitor.balances.change_point import LEAST
+from eha_monitor.balances.change_point import LEAST, blanked, motion_of
 from eha_monitor.balances.course import Course
-from eha_monitor.balances.measured import course_of
 from eha_monitor.balances.policy import POLICY, Policy
 from eha_monitor.balances.table import Table, tables_of
-from eha_monitor.balances.together import of_one_machine
-from eha_monitor.errors import InputError
 from eha_monitor.mismatch.diagnosis import Event
 from eha_monitor.quantity import number, quantity
 from eha_monitor.recordings.recording import Recording
@@ -48,9 +45,7 @@ def without_events(recordings: Sequence[Recording], settings: Settings, policy: 
         if events:
             there = np.any([(time >= one.start_s) & (time <= one.stop_s) for one in events],
                            axis=0)
-            recording = replace(recording, channels={
-                name: np.where(there, np.nan, values)
-                for name, values in recording.channels.items()})
+            recording = blanked(recording, there)
         found += events
         kept.append(recording)
     return kept, tuple(found)
@@ -61,14 +56,9 @@ def events_in(recording: Recording, settings: Settings, policy: Policy = POLICY)
 
     Where force and flow are off at one time, the one that is off more times as much as else.
     """
-    rig = settings.rig
-    try:
-        course = course_of(recording, settings)
-    except InputError:
+    rig, course = settings.rig, motion_of(recording, settings, policy)
+    if course is None:
         return []
-    if not course.shows:
-        return []
-    (course,) = of_one_machine([course], rig, policy)
     events: list[Event] = []
     for balance in ("force", "flow"):
         plain = tuple(one for one in candidates_of(balance, Scale.of([course]), rig)
@@ -153,8 +143,7 @@ class _Parts:
             f"at {start:.1f}–{stop:.1f} s a load of {quantity(mean, unit, 2)} on average acts "
             "against positive motion, and else none"))
 
-    def best(self, order: np.ndarray
-             ) -> tuple[float, tuple[int, int], float, float, np.ndarray]:
+    def best(self, order: np.ndarray) -> tuple[float, tuple[int, int], float, float, np.ndarray]:
         """Return the interval of blocks, in an order, that is most unlike the rest.
 
         Returns

@@ -8,12 +8,7 @@ from pathlib import Path
 import numpy as np
 from pydantic import TypeAdapter, ValidationError
 
-from eha_monitor.balances.alone import (
-    Refused,
-    between_forms,
-    form_and_doubts,
-    movement,
-)
+from eha_monitor.balances.alone import Refused, between_forms, form_and_doubts, movement
 from eha_monitor.balances.candidates import (
     BASE,
     FIRST_VIEW,
@@ -357,8 +352,7 @@ def machine_from(courses: Sequence[Course], rig: Rig, vary: Sequence[str], witho
             varied.append("load")  # now friction that grows with pressure can be separated
             one = _balance(kind, courses, scale, rig, (varied, without, pieces), policy)
         found.append(one)
-    sources = tuple(Path(one.source).name or f"recording {i + 1}"
-                    for i, one in enumerate(courses))
+    sources = tuple(Path(one.source).name or f"recording {i + 1}" for i, one in enumerate(courses))
     viscosity = tuple(course.viscosity for course in courses)
     lowest = tuple(row if np.isfinite(row).all() else ()
                    for row in zip(*(course.lowest(rig) for course in courses), strict=True))
@@ -558,8 +552,7 @@ def _odd(sources: Sequence[str], balances: Sequence[MachineBalance], policy: Pol
         middle = np.median(log)
         spread = max(1.4826 * float(np.median(np.abs(log - middle))), 0.1)
         for i, (source, value, error) in enumerate(zip(sources, log, one.error, strict=True)):
-            if (value - middle) / spread > policy.odd and (
-                    error - np.exp(middle) > policy.worse):
+            if (value - middle) / spread > policy.odd and (error - np.exp(middle) > policy.worse):
                 found.setdefault(i, Odd(source, (
                     f"its {one.balance} is {100 * error:.0f} % unexplained, the others "
                     f"{100 * np.exp(middle):.0f} %"), i))

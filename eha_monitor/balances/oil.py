@@ -78,8 +78,7 @@ def flow_of(course: Course, rig: Rig) -> Flow | None:
     if not np.any(course.added("stroke")):
         pressed.append(pressed[0] + rig.area_1 * course.x * course.of_filled(
             course.rate_1, course.rate_2))
-    return Flow(course, flow - known, own,
-                (late, *areas_apart(course, rig)), pressed)
+    return Flow(course, flow - known, own, (late, *areas_apart(course, rig)), pressed)
 
 
 def compressibility(course: Course, rig: Rig) -> Term | None:

@@ -63,8 +63,7 @@ def curves_of(balance: str, unit: str, parts: Sequence[Part]) -> list[Curve]:
         return np.concatenate([of(part)[part.kept] for part in parts])
 
     what = joined(lambda part: part.measured)
-    model = joined(lambda part: np.zeros(len(part.x)) if part.modelled is None
-                   else part.modelled)
+    model = joined(lambda part: np.zeros(len(part.x)) if part.modelled is None else part.modelled)
     against = [("time", "s", joined(lambda part: part.start + np.arange(len(part.x)) * part.dt)),
                ("velocity", "m/s", joined(lambda part: part.v)),
                ("position", "m", joined(lambda part: part.x))]

@@ -14,13 +14,11 @@ import numpy as np
 
 from eha_monitor.balances.candidates import stop
 from eha_monitor.balances.course import Course
-from eha_monitor.balances.judge import within_stroke
+from eha_monitor.balances.judge import judge_with_oil, source_of, within_stroke
 from eha_monitor.balances.judged import Judged, Moved
 from eha_monitor.balances.machine import Machine
 from eha_monitor.balances.measured import courses_of
 from eha_monitor.balances.model import LOAD
-from eha_monitor.balances.source import source_of
-from eha_monitor.balances.viscous import judge_with_oil
 from eha_monitor.mismatch.diagnosis import Change, Value
 from eha_monitor.quantity import with_uncertainty
 from eha_monitor.recordings.recording import Recording

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import click
 
 from eha_monitor.archive.find import is_archive, of_a_bag
-from eha_monitor.errors import InputError, installs
+from eha_monitor.errors import InputError, optional
 from eha_monitor.progress import Report, silent
 
 if TYPE_CHECKING:
@@ -58,13 +58,9 @@ def ros_module(name: str):
     """Import a module of ``eha_monitor.ros``, or say in one line that ROS is missing."""
     import importlib
 
-    try:
+    with optional("this command needs ROS 2, and rclpy cannot be imported ({}); source a ROS 2 "
+                  "set-up, or ", "ros"):
         return importlib.import_module(f"eha_monitor.ros.{name}")
-    except ImportError as problem:
-        if (problem.name or "").startswith("eha_monitor"):
-            raise  # a defect of ours is no missing ROS
-        raise InputError(f"this command needs ROS 2, and rclpy cannot be imported ({problem}); "
-                         f"source a ROS 2 set-up, or {installs('ros')}") from problem
 
 
 @contextmanager

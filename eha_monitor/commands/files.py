@@ -81,8 +81,7 @@ def config(file: Path | None) -> None:
 @click.option("--modelica", type=common.FILE, metavar="FILE.mo", help="Modelica text.")
 @click.option("--urdf", type=common.FILE, metavar="FILE.urdf",
               help="A joint with damping and friction.")
-@click.option("--mujoco", type=common.FILE, metavar="FILE.xml",
-              help="The same for MuJoCo (MJCF).")
+@click.option("--mujoco", type=common.FILE, metavar="FILE.xml", help="The same for MuJoCo (MJCF).")
 @click.option("--ros2-control", "ros2_control", type=common.FILE, metavar="FILE.yaml",
               help="Friction feed-forward table, as ROS parameters.")
 @click.option("--joint", default="piston", show_default=True, metavar="NAME",

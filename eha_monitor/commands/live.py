@@ -85,8 +85,7 @@ def replay(ros_args: list[str], bag: Path, rate: float, clock: bool, loop: bool,
 
 
 @click.command()
-@click.option("--out", required=True, type=FILE, metavar="BAG",
-              help="Folder of the new bag.")
+@click.option("--out", required=True, type=FILE, metavar="BAG", help="Folder of the new bag.")
 @click.option("--topic", "topics", multiple=True, metavar="TOPIC",
               help="Record this topic; may be repeated. Default: the topics of the config.")
 @config_option

@@ -86,9 +86,9 @@ class Page:
     def _build_controls(self) -> None:
         with ui.element("div").classes("controls wide"):
             text("Charts show", "note")
-            self._range = tagged(ui.toggle(list(CHOICES), value=self.span.choice,
-                                           on_change=lambda event: self._choose_span(event.value)
-                                           ).props("no-caps unelevated dense"), "range")
+            tagged(ui.toggle(list(CHOICES), value=self.span.choice,
+                             on_change=lambda event: self._choose_span(event.value)
+                             ).props("no-caps unelevated dense"), "range")
             self._back = button("Follow the data again", "back",
                                 lambda: self._choose_span(self.span.choice))
             self._zoomed = text("", "note", "zoomed")

@@ -12,12 +12,7 @@ import numpy as np
 from eha_monitor import __version__
 from eha_monitor.exports.model import Exported, Model, rendered
 from eha_monitor.physics import signals as s
-from eha_monitor.physics.contributions import (
-    ALL_NAMES,
-    add_contributions,
-    new_memory,
-    with_term,
-)
+from eha_monitor.physics.contributions import ALL_NAMES, add_contributions, new_memory, with_term
 from eha_monitor.physics.effects import NAMES
 from eha_monitor.physics.effects.friction import V_E
 from eha_monitor.physics.own_term import BALANCES

@@ -1,7 +1,7 @@
 """The next motion: what it is expected to tell between the structures still in the running."""
 
 from collections import Counter
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -89,9 +89,6 @@ class Planned:
     # the first predicts
     peaks: dict[str, float] = field(default_factory=dict)
     shown: np.ndarray | None = None
-
-
-Choice = Callable[[Sequence[Planned]], Planned]
 
 
 def standing(naming: Naming) -> dict[Names, float]:
@@ -303,16 +300,13 @@ class Planner:
     ----------
     bounds : complete limits; ``source`` names the config in errors.
     wanted : probability at which a structure stands.
-    choose : among what is allowed; :func:`most_decisive` by default.
     """
 
-    def __init__(self, settings: Settings, bounds: Bounds, source: str, wanted: float = 0.95,
-                 choose: Choice | None = None):
+    def __init__(self, settings: Settings, bounds: Bounds, source: str, wanted: float = 0.95):
         rig = settings.rig
         self.settings, self.bounds, self.source = settings, bounds, source
         # binding: how often which limit left no size of a motion
         self.wanted, self.binding = wanted, Counter()
-        self.choose = choose or most_decisive
         per_speed = rig.area_1 / rig.pump_displacement
         self.limits = Limits(0.5 * (bounds.lower + bounds.upper),
                              USED * 0.5 * (bounds.upper - bounds.lower), bounds.speed,
@@ -372,7 +366,7 @@ class Planner:
         # Where the limits leave no motion that shows, a rest alone is no experiment.
         if not any(moving(one.motion) for one in found):
             return None
-        chosen = self.choose(found)
+        chosen = most_decisive(found)
         return replace(chosen, at_last=max(chosen.at_last, *(one.at_last for one in found)))
 
     def within(self, contest: Contest, motion: Motion, position: float) -> Planned | None:

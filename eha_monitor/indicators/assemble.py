@@ -7,7 +7,7 @@ from operator import attrgetter
 
 import numpy as np
 
-from eha_monitor.estimation.results import Estimate
+from eha_monitor.estimation.results import Estimate, units_of
 from eha_monitor.indicators import indicator, laws
 from eha_monitor.indicators.indicator import Indicator
 from eha_monitor.indicators.laws import LEAKS, viscosity_factor
@@ -265,7 +265,7 @@ def _efficiency(found: Evidence, settings: Settings) -> Indicator:
 
 
 def _damping(found: Evidence, settings: Settings) -> Indicator:
-    unit = "N·m·s/rad" if settings.rig.motion == "rotary" else "N·s/m"
+    unit = units_of(settings.rig.motion)["B"]
     if "B" not in found.values:
         return _unknown("damping", found.why.get("B", "not identified from this recording"), unit)
 

@@ -26,7 +26,7 @@ from eha_monitor.health.alarms import WATCHED
 from eha_monitor.health.judge import DIAGNOSIS, MACHINE, MODEL_IN_FORCE, Finding
 from eha_monitor.live.estimator import LiveEstimator
 from eha_monitor.live.ingest import Columns
-from eha_monitor.output import write_json
+from eha_monitor.output import environment, write_json
 from eha_monitor.quantity import with_uncertainty
 from eha_monitor.settings.load import annotated, load_settings, settings_from_tree
 from eha_monitor.settings.monitor import Settings
@@ -139,7 +139,6 @@ def adopted_before(path: Path, settings: Settings) -> Adopted | None:
     return found
 
 
-PACKAGE = Path(__file__).parents[1]
 WALL = 10.0  # times its processor time: then it hangs
 QUANTISATION = "position_quantisation"
 FOUND = ("effects", "rig_data", "learned")  # what a diagnosis puts into a config
@@ -252,9 +251,7 @@ class Diagnosing:
                  "--json", str(self._folder / "diagnosis.json"),
                  "--report", str(self._folder / "report.html"),
                  "--write-config", str(self._folder / "completed.yaml"), *further],
-                env=os.environ | {"PYTHONPATH": os.pathsep.join(
-                    [str(PACKAGE.parent), *filter(None, [os.environ.get("PYTHONPATH")])])},
-                stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=log)
+                env=environment(), stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=log)
         self.answer: Answer | None = None  # once there is one
         # To read the answer takes a tenth of a second: rows must not wait for it.
         self._reader = threading.Thread(target=self._read, daemon=True, name="diagnosis")

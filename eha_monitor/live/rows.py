@@ -82,25 +82,12 @@ class Source(Counts):
         """Forget the samples that wait."""
         self.stamps, self.came = np.empty(0, dtype=np.int64), np.empty(0)
         self.values = np.empty((0, len(self.channels)))
-        self._single: list[tuple[int, tuple[float, ...], float]] = []
 
-    def add(self, stamp_ns: int, values: tuple[float, ...], came: float) -> None:
-        """Let one sample wait."""
-        self._single.append((stamp_ns, values, came))
-
-    def add_all(self, stamps: np.ndarray, values: np.ndarray, came: np.ndarray) -> None:
-        """Let samples wait, those that were added singly before them."""
-        if self._single:
-            single, self._single = self._single, []
-            self.add_all(*(np.array(part) for part in zip(*single, strict=True)))
+    def add(self, stamps: Sequence[int], values: Sequence, came: Sequence[float]) -> None:
+        """Let samples wait."""
         self.stamps = np.concatenate([self.stamps, stamps])[-KEPT:]
         self.values = np.concatenate([self.values, values])[-KEPT:]
         self.came = np.concatenate([self.came, came])[-KEPT:]
-
-    def settle(self) -> None:
-        """Put the samples that were added singly to the others."""
-        if self._single:
-            self.add_all(self.stamps[:0], self.values[:0], self.came[:0])
 
     def drop(self, count: int) -> None:
         """Let the oldest samples go."""
@@ -202,7 +189,7 @@ class RowAligner:
         source.doubted = source.skipped = 0
         source.last_ns, source.heard_s = int(batch.stamps[-1]), float(batch.came[-1])
         source.taken += len(batch.stamps)
-        source.add_all(batch.stamps, batch.values, batch.came)
+        source.add(batch.stamps, batch.values, batch.came)
 
     def push(self, source: Source, stamp_ns: int, values: tuple[float, ...], now: float) -> None:
         """Take one sample of a source; ``now`` in s on a clock that only rises."""
@@ -216,7 +203,7 @@ class RowAligner:
         source.last_ns = stamp_ns
         source.heard_s = now
         source.taken += 1
-        source.add(stamp_ns, values, now)
+        source.add([stamp_ns], [values], [now])
 
     def unread(self, source: Source, empty: bool) -> None:
         """Note a message that gave no sample, ``empty`` for want of a number."""
@@ -231,7 +218,6 @@ class RowAligner:
         if self.reset_reason is not None:
             return self._before.pop(0) if self._before else self._rows(0, now)
         leader = self._leader
-        leader.settle()
         awaited = [s.last_ns for s in self._followers if not s.held and now - s.heard_s < SILENT_S]
         count = len(leader.stamps)
         if awaited:
@@ -267,7 +253,6 @@ class RowAligner:
 
     def _at(self, source: Source, stamps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return a follower's values at stamps, (n, k) with NaN, and where there are any, (n,)."""
-        source.settle()
         out = np.full((len(stamps), len(source.channels)), np.nan)
         given = source.stamps
         if not len(given) or not len(stamps):

@@ -23,14 +23,7 @@ from eha_monitor.mismatch.data.experiment import Experiment, experiment_of
 from eha_monitor.mismatch.likelihood.fit import Fit, Free, remade, spread, with_unknowns
 from eha_monitor.mismatch.name.columns import columns_at, effects_of, rig_free
 from eha_monitor.mismatch.name.nominal import nominal
-from eha_monitor.mismatch.name.refit import (
-    ROUGH_STEPS,
-    ROUGHLY,
-    Slopes,
-    at_level,
-    polished,
-    wide,
-)
+from eha_monitor.mismatch.name.refit import ROUGH_STEPS, ROUGHLY, Slopes, at_level, polished, wide
 from eha_monitor.mismatch.name.starts import (
     Start,
     continuing,

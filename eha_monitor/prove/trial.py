@@ -31,12 +31,11 @@ from eha_monitor.compiled import FIRST_RUN
 from eha_monitor.concealed.cases import CONFIG_KEYS, TOLERANCES, Case, truth_of
 from eha_monitor.concealed.draws import SETS, draw_cases, misconfigured
 from eha_monitor.errors import InputError
-from eha_monitor.output import source_digest, write_text
+from eha_monitor.output import PACKAGE, environment, source_digest, write_text
 from eha_monitor.progress import Report, silent
 from eha_monitor.prove import score
 from eha_monitor.settings.monitor import Settings
 
-PACKAGE = Path(__file__).parents[1]
 LONGEST = 1800.0  # s that a diagnosis may take
 
 
@@ -98,9 +97,7 @@ def children(questions: Questions, names: Sequence[str], jobs: int, say: Report)
 
 def begun(module: str, arguments: Sequence[str]) -> subprocess.Popen:
     """Start a module of this very source with arguments; what it complains of is kept."""
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(
-        [str(PACKAGE.parent), *filter(None, [os.environ.get("PYTHONPATH")])])}
-    return subprocess.Popen([sys.executable, "-m", module, *arguments], env=environment,
+    return subprocess.Popen([sys.executable, "-m", module, *arguments], env=environment(),
                             stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL,
                             stderr=subprocess.PIPE, text=True, errors="replace")
 

@@ -66,11 +66,16 @@ def align(series: dict[str, tuple[Series, str]], settings: Settings, *, source: 
         tell_rate(name, axes[key], grid, said)
     columns = {name: columns[name] for name in CHANNELS
                if name in columns and (name == reference or np.isfinite(columns[name]).any())}
+    return recording_of(columns, grid, origin, source, said)
+
+
+def recording_of(columns: dict[str, np.ndarray], grid: Grid, origin: int, source: str,
+                 said: list[str]) -> Recording:
+    """Return the recording of channels on a grid, whose time is from ``origin`` on, ns."""
     columns = released(columns, grid.step, said)
     tell_gaps(columns, grid.step, said)
-    return Recording(sample_time=grid.step, channels=columns,
-                     start_ns=max(0, origin + round(grid.start * 1e9)), source=source,
-                     losses=tuple(dict.fromkeys(map(one_line, said))))
+    return Recording(grid.step, columns, max(0, origin + round(grid.start * 1e9)), source,
+                     tuple(dict.fromkeys(map(one_line, said))))
 
 
 def within_range(found: Series, name: str, topic: str, source: str, said: list[str]) -> Series:

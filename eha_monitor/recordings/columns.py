@@ -121,6 +121,11 @@ def chosen(values: np.ndarray, index: np.ndarray) -> np.ndarray:
     return np.concatenate(found) if found else values[index]
 
 
+def stretches(mask: np.ndarray) -> np.ndarray:
+    """Return first sample and one behind the last of each run of True, (m, 2)."""
+    return np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]))).reshape(-1, 2)
+
+
 def spans_of(masks: Iterable[tuple[int, np.ndarray]]) -> tuple[np.ndarray, np.ndarray]:
     """Return first and behind-last row of each stretch of True over consecutive masks.
 
@@ -129,8 +134,7 @@ def spans_of(masks: Iterable[tuple[int, np.ndarray]]) -> tuple[np.ndarray, np.nd
     starts: list[np.ndarray] = []
     stops: list[np.ndarray] = []
     for row, mask in masks:
-        edges = np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8))
-        first, last = np.flatnonzero(edges == 1) + row, np.flatnonzero(edges == -1) + row
+        first, last = stretches(mask).T + row
         if len(first) and stops and len(stops[-1]) and first[0] == stops[-1][-1]:
             stops[-1] = stops[-1][:-1]  # it goes on
             first = first[1:]

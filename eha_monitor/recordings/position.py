@@ -12,7 +12,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from scipy.ndimage import median_filter
 
-from eha_monitor.recordings.columns import IN_MEMORY
+from eha_monitor.recordings.columns import IN_MEMORY, stretches
 from eha_monitor.recordings.recording import Recording
 
 SLOWEST = 0.02  # s: between samples farther apart a piston may start and stop
@@ -92,11 +92,6 @@ def astray(x: np.ndarray, dt: float) -> Astray:
     ends = np.append(there, len(x))
     return Astray(ends[stretches(gone)], ends[noisy], there[np.array(stays, dtype=int)],
                   float(max(sizes)), louder)
-
-
-def stretches(mask: np.ndarray) -> np.ndarray:
-    """Return first sample and one behind the last of each run of True, (m, 2)."""
-    return np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]))).reshape(-1, 2)
 
 
 def _drop_outs(values: np.ndarray, at: np.ndarray, longest: int

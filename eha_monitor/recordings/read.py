@@ -12,14 +12,14 @@ from pathlib import Path
 
 import numpy as np
 
-from eha_monitor.errors import InputError, one_line
+from eha_monitor.errors import InputError
 from eha_monitor.recordings import align as whole
 from eha_monitor.recordings import cdr
-from eha_monitor.recordings.align import align, released
+from eha_monitor.recordings.align import align
 from eha_monitor.recordings.bag import Bag
 from eha_monitor.recordings.cdr import Series, TopicReader, Want, types_of
 from eha_monitor.recordings.columns import PIECE, Column
-from eha_monitor.recordings.grid import JITTER, Grid, fit_grid, repair, simple_step, tell_gaps
+from eha_monitor.recordings.grid import JITTER, Grid, fit_grid, repair, simple_step
 from eha_monitor.recordings.recording import CHANNELS, LARGEST, Recording
 from eha_monitor.settings.channels import DEFAULT_CHANNELS, Channel
 from eha_monitor.settings.monitor import Settings
@@ -200,11 +200,7 @@ class Stream:
             if values is not None:
                 columns[name] = values
         columns = {name: columns[name] for name in CHANNELS if name in columns}
-        columns = released(columns, grid.step, said)
-        tell_gaps(columns, grid.step, said)
-        return Recording(grid.step, columns,
-                         max(0, self.origin + round(grid.start * 1e9)), source,
-                         tuple(dict.fromkeys(map(one_line, said))))
+        return whole.recording_of(columns, grid, self.origin, source, said)
 
     def _interpolated(self, series: Series, label: str, points: int, name: str,
                       said: list[str]) -> np.ndarray | None:
@@ -230,7 +226,7 @@ class Stream:
 BATCH_BYTES = 8_000_000  # small chunks are joined, so that the work for each is paid once
 
 
-def read_recording(path: str | Path, settings: Settings, streamed: bool = True) -> Recording:
+def read_recording(path: str | Path, settings: Settings) -> Recording:
     """Read a rosbag2 mcap bag through the channel map of the config.
 
     Raises InputError if there is no bag, or none of its messages gives a channel.
@@ -239,15 +235,15 @@ def read_recording(path: str | Path, settings: Settings, streamed: bool = True) 
     ----------
     path : folder with metadata.yaml and .mcap files, or one .mcap file; whole or cut off.
     settings : ``channels``, ``monitor.namespace`` and ``rig.sample_time`` are read.
-    streamed : whether a long bag is put on its grid as it comes, where its stamps are even.
     """
     try:
-        return _read(path, settings, streamed)
+        return _read(path, settings, streamed=True)
     except NotEvenError:
         return _read(path, settings, streamed=False)
 
 
 def _read(path: str | Path, settings: Settings, streamed: bool) -> Recording:
+    """Read a bag; ``streamed``: put a long one on its grid as it comes."""
     bag = Bag(path)
     collector = Collector(settings, streamed)
     for file, block in bag.blocks():

@@ -11,7 +11,7 @@ import numpy as np
 
 from eha_monitor.errors import InputError
 from eha_monitor.recordings import columns
-from eha_monitor.recordings.columns import any_of, let_go, spans_of
+from eha_monitor.recordings.columns import any_of, let_go, stretches
 from eha_monitor.settings.channels import CHANNELS as CHANNELS
 
 # Channel -> largest absolute value that can be a measurement, and its unit.  Far beyond any
@@ -209,9 +209,9 @@ def between_stops(x: np.ndarray, force: np.ndarray, dt: float) -> list[tuple[int
     top, near = np.quantile(speed, 0.998), NEAR * np.ptp(x)
     moves = np.median(force[speed >= 0.5 * top])
     held = (speed < STANDS * top) & ((x < x.min() + near) | (x > x.max() - near))
-    places = [float(np.median(x[a:b])) for a, b in zip(*spans_of([(0, held)]), strict=True)
+    places = [float(np.median(x[a:b])) for a, b in stretches(held)
               if (b - a) * dt >= LASTING and np.median(force[a:b]) > PRESSES * moves]
     if not places:
         return [(0, len(x))]
     away = np.all(np.abs(x[:, None] - np.array(places)) > near, axis=1)
-    return [(int(a), int(b)) for a, b in zip(*spans_of([(0, away)]), strict=True)]
+    return list(map(tuple, stretches(away).tolist()))

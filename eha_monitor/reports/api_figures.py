@@ -14,6 +14,7 @@ from eha_monitor.recordings.recording import Recording
 from eha_monitor.reports import diagnosis_figures as figures
 from eha_monitor.reports import estimate_figures
 from eha_monitor.reports import figure as fig
+from eha_monitor.reports.diagnosis_words import compared
 from eha_monitor.reports.still_image import Drawing, drawn, words_drawn
 from eha_monitor.reports.traces import robust_range
 from eha_monitor.settings.monitor import Experiment
@@ -79,9 +80,7 @@ def diagnosis_drawing(found: Diagnosis, what: str) -> Drawing:
                       else figures.curve_figure(found, curves[0], large=True) if curves
                       else None, found.message)
     if what == "fit":
-        compared = bool(found.effects or found.rig_data or found.learned or found.pieces
-                        or found.references)
-        made = (figures.overlay_figure(one, compared) for one in found.overlays)
+        made = (figures.overlay_figure(one, compared(found)) for one in found.overlays)
         return _drawn(next(filter(None, made), None),
                       "No data were held out to run the models on.")
     return _drawn(figures.agreement_figure(what, found.agreement, found.before.get(what),

@@ -2,7 +2,7 @@
 
 import contextlib
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -14,7 +14,7 @@ from std_srvs.srv import Trigger
 
 from eha_monitor.dashboard.events import ACKNOWLEDGED, EventLog
 from eha_monitor.dashboard.state import Actuator, State
-from eha_monitor.errors import InputError, installs
+from eha_monitor.errors import InputError, optional
 from eha_monitor.health.alarms import WATCHED
 from eha_monitor.live.rows import Source
 from eha_monitor.recordings.ring import plain_name
@@ -112,17 +112,6 @@ class Served:
     names: tuple[str, ...] = ()  # further host names to answer to; a token is asked for then
 
 
-@contextlib.contextmanager
-def _optional(what: str, extra: str) -> Iterator[None]:
-    """Say in one line which extra is missing, where an import inside the block fails."""
-    try:
-        yield
-    except ImportError as problem:
-        if (problem.name or "").startswith("eha_monitor"):
-            raise  # a defect of ours is no missing package
-        raise InputError(f"{what}: {problem}; {installs(extra)}") from problem
-
-
 def run_dashboard(config: Path | None, ros_args: list[str], served: Served,
                   duration: float | None = None, actuators: tuple[str, ...] = ()) -> int:
     """Serve the page until a signal or for ``duration`` s; returns the exit status.
@@ -131,14 +120,14 @@ def run_dashboard(config: Path | None, ros_args: list[str], served: Served,
     Raises InputError if the port is taken, or the address, config, a parameter or a ROS argument
     is wrong.
     """
-    with _optional("dashboard", "dashboard"):
+    with optional("dashboard: {}; ", "dashboard"):
         from eha_monitor.dashboard.serve import claim, metrics_text, serving
     metrics = None
     if served.metrics:
-        with _optional("--metrics", "dashboard"):
+        with optional("--metrics: {}; ", "dashboard"):
             metrics = metrics_text()
     if served.foxglove is not None:
-        with _optional("--foxglove", "foxglove"):
+        with optional("--foxglove: {}; ", "foxglove"):
             from eha_monitor.ros.foxglove_server import serving_foxglove
     wanted = running.actuators(config, actuators, ros_args, "dashboard")
     log, shown, nodes = EventLog(), {}, []

@@ -15,6 +15,7 @@ from eha_monitor.balances.table import pooled_table, tables_of
 from eha_monitor.breakdown import computing
 from eha_monitor.errors import InputError
 from eha_monitor.estimation.hold_choice import resolved
+from eha_monitor.estimation.results import units_of
 from eha_monitor.mismatch.advise.identifiability import (
     HOPELESS,
     Confusion,
@@ -64,9 +65,8 @@ def advised_by_balances(found: Diagnosis, recordings: Sequence[Recording], setti
                         ) -> tuple[tuple[str, ...], Advice]:
     """Return the effects that the balances have ``found``, and what they leave open."""
     names = tuple(one.name for one in found.effects if one.name in CATALOGUE)
-    unit = "N·s/m" if settings.rig.motion == "linear" else "N·m·s/rad"
     return names, Advice(_known(found, recordings, settings), np.nan, (), (), (), (), None, (), (),
-                         False, unit, found.advice)
+                         False, units_of(settings.rig.motion)["B"], found.advice)
 
 
 def _known(found: Diagnosis, recordings: Sequence[Recording], settings: Settings
@@ -159,7 +159,8 @@ def advice(experiment: Experiment, fit: Fit, doubts: dict[str, tuple[str, ...]],
     limits = limits_for(experiment)
     if limits is not None:
         fit = looped(fit, limits)
-    unit = "N·s/m" if experiment.settings.rig.motion == "linear" else "N·m·s/rad"
+    units = units_of(experiment.settings.rig.motion) | {
+        f"{name}.{p.name}": p.unit for name in NAMES for p in CATALOGUE[name].parameters}
     base = [s for s in free_slopes(fit) if thorough or not small_timing(s.label, fit)]
     directions, slopes = directions_for(experiment, fit, effects_for(
         experiment, fit, NAMES if thorough else COMMON))
@@ -174,8 +175,6 @@ def advice(experiment: Experiment, fit: Fit, doubts: dict[str, tuple[str, ...]],
     named = [c for d in found for parameter in reading.health
              if (c := reading.confusion(d, parameter, d.amount, True)) is not None]
     confusions = (*named, *reading.confusions())
-    units = {"B": unit, "beta_e": "Pa"} | {
-        f"{name}.{p.name}": p.unit for name in NAMES for p in CATALOGUE[name].parameters}
     questions = [*pairs, *(hidden(fit, c, reading) for c in open_ones(confusions))]
     say("looking for a motion", 0.2)
     doubts, now = open_questions(traces, questions, base)
@@ -192,7 +191,7 @@ def advice(experiment: Experiment, fit: Fit, doubts: dict[str, tuple[str, ...]],
         reading.groups(),
         tuple(Doubt(q.effect, q.rival, q.parameter, q.steady, q.amount, q.symbol, q.unit, a, b)
               for q, a, b in zip(doubts, now, then, strict=True)), motion,
-        tuple(tried), tuple(checks), limits is not None, unit)
+        tuple(tried), tuple(checks), limits is not None, units["B"])
 
 
 def open_ones(confusions: Sequence[Confusion]) -> list[Confusion]:
@@ -216,19 +215,18 @@ def hidden(fit: Fit, c: Confusion, reading: Reading) -> Question:
         theta = fit.theta.copy()
         theta[place_of(key)] -= size * np.sign(d.amount)
         less = replace(fit, theta=theta, free=tuple(f for f in fit.free if f.name != key))
-        return Question(c.effect, "", c.parameter, steady, fit, less, size, c.symbol, c.unit)
+        return Question(c.effect, "", c.parameter, steady, size, c.symbol, c.unit, fit, less)
     share = size / abs(d.amount)
     truth = with_effect(fit, d.start, tuple(share if p.name == c.symbol else 0.0
                                             for p in CATALOGUE[c.effect].sizes))
-    return Question(c.effect, "", c.parameter, steady, truth, fit, size, c.symbol, c.unit, "other")
+    return Question(c.effect, "", c.parameter, steady, size, c.symbol, c.unit, truth, fit, "other")
 
 
 def pair(experiment: Experiment, fit: Fit, effect: str, rival: str, other: Fit) -> Question:
     """Return the question which of two effects is there."""
     p = CATALOGUE[effect].sizes[0]
-    return Question(effect, rival, "", False, fit,
-                    instead(experiment, fit, effect, other, rival),
-                    float(fit.theta[place_of(f"{effect}.{p.name}")]), p.name, p.unit)
+    return Question(effect, rival, "", False, float(fit.theta[place_of(f"{effect}.{p.name}")]),
+                    p.name, p.unit, fit, instead(experiment, fit, effect, other, rival))
 
 
 def open_questions(traces: Traces, questions: Sequence[Question], base: Sequence[Slope]

@@ -69,20 +69,37 @@ FORM = 1e-3  # of a trace's squares: no model is right to 3 % of an effect, so l
 
 
 @dataclass(frozen=True)
-class Question:
-    """Two models between which the recording is to decide."""
+class _Asked:
+    """What may be there, beside what else it may be."""
 
-    effect: str  # that is there
-    rival: str  # effect that may be there instead; "": B and beta_e alone may take its part
-    parameter: str  # ``B`` or ``beta_e`` where the question is what of it is the effect, or ""
-    # Only the recording's plateaus count, and the motion away from its reversals: the answer
-    # then does not hang on how friction reverses
-    steady: bool
-    truth: Fit  # the model with the effect
-    other: Fit  # the other one
-    amount: float  # of the effect in which they differ, SI
+    effect: str
+    rival: str
+    parameter: str
+    steady: bool  # the answer then does not hang on how friction reverses
+    amount: float  # of the effect in which the two differ, SI
     symbol: str  # its size
     unit: str
+
+
+@dataclass(frozen=True)
+class Doubt(_Asked):
+    """A question that the recording leaves open.
+
+    ``effect`` or ``rival`` ("": B and beta_e alone); ``parameter`` where the question is what of
+    it is the effect; ``steady``: from the plateaus of speed alone.  ``now`` : log units that the
+    recording has on it; ``then`` : with the proposed motion; both at ``amount``.
+    """
+
+    now: float
+    then: float
+
+
+@dataclass(frozen=True)
+class Question(_Asked):
+    """Two models between which the recording is to decide."""
+
+    truth: Fit  # the model with the effect
+    other: Fit  # the other one
     reference: str = "truth"  # which of the two is the fit at which slopes are taken
 
     @property
@@ -145,26 +162,6 @@ class Check:
     predicted: float
     found: float
     values: dict[str, tuple[float, float, float]]
-
-
-@dataclass(frozen=True)
-class Doubt:
-    """A question that the recording leaves open.
-
-    ``effect`` or ``rival`` ("": B and beta_e alone); ``parameter`` where the question is what of
-    it is the effect; ``steady``: from the plateaus of speed alone.  ``now`` : log units that the
-    recording has on it; ``then`` : with the proposed motion; both in ``words`` at ``amount``.
-    """
-
-    effect: str
-    rival: str
-    parameter: str
-    steady: bool
-    amount: float
-    symbol: str
-    unit: str
-    now: float
-    then: float
 
 
 @dataclass(frozen=True)

@@ -244,7 +244,7 @@ def transition(mode, held, hears, step, theta, active, decay, y, u, shifts):
 
 @njit(nogil=True)
 def riccati(a, h, q, r, p, used, gains):
-    """Iterate the Riccati equation from ``p``; write the gains of each step, return the last S.
+    """Iterate the Riccati equation from ``p``, and write the gains of each step.
 
     Parameters
     ----------

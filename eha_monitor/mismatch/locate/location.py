@@ -12,6 +12,7 @@ import numpy as np
 
 from eha_monitor import ties
 from eha_monitor.balances import places
+from eha_monitor.balances.candidates import SIDES
 from eha_monitor.compiled import njit
 from eha_monitor.mismatch.data.experiment import Experiment
 from eha_monitor.mismatch.data.inputs import FORCED
@@ -30,7 +31,6 @@ from eha_monitor.mismatch.likelihood.gains import Linear, linear_of
 from eha_monitor.mismatch.likelihood.innovations import N_FILTERED, riccati
 from eha_monitor.mismatch.locate.terms import (
     BALANCES,
-    UNITS,
     Missing,
     missing_terms,
     needed,
@@ -340,7 +340,7 @@ def location_of(experiment: Experiment, before: Fit, after: Fit,
     if not mine and any(balance_of(name) == balance for name in named if name in CATALOGUE):
         mine = [term for term in missing_terms(experiment, before, after)
                 if term.balance == balance]
-    if not mine and balance in UNITS:
+    if not mine and balance in SIDES:
         mine = [needed(experiment, after, balance)]
     elif not mine:
         mine = sensor_errors(experiment, after, balance, outputs)

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from eha_monitor.balances.candidates import SIDES
 from eha_monitor.balances.least_squares import rms
 from eha_monitor.estimation.sensors import PRESSURE_ERRORS
 from eha_monitor.mismatch.data.experiment import Experiment, Stretch, smooth
@@ -17,13 +18,14 @@ from eha_monitor.mismatch.likelihood.along import (
 )
 from eha_monitor.mismatch.likelihood.fit import Fit, spread, with_unknowns
 from eha_monitor.mismatch.likelihood.gains import Unknowns, smallest_unknowns
+from eha_monitor.mismatch.name.columns import PLACES
 from eha_monitor.mismatch.name.refit import at_level
 from eha_monitor.mismatch.name.starts import limits_of
 from eha_monitor.physics import signals as s
 from eha_monitor.physics.contributions import circuit_of
 from eha_monitor.physics.effects import CATALOGUE, NAMES
 from eha_monitor.physics.parameters import place_of
-from eha_monitor.physics.plant import Y_FLOW, Y_FORCE, Y_SPEED, shown_position
+from eha_monitor.physics.plant import shown_position
 from eha_monitor.recordings.grid import filled
 
 DRIVE_STEPS = 5  # in a sample; a lag below half a step is taken as none
@@ -152,8 +154,6 @@ def modelled_error(fit: Fit, trajectory: np.ndarray, output: int) -> np.ndarray:
 
 
 BALANCES = ("force", "flow", "drive", "sensor")
-UNITS = {"force": "N", "flow": "m³/s", "drive": "rad/s"}
-STATES = {"force": Y_FORCE, "flow": Y_FLOW, "drive": Y_SPEED}
 SENSORS = {0: s.X, 2: s.P1, 3: s.P2}  # output -> what it ought to show
 VISIBLE = 0.3  # of a sensor's noise: an error below needs no curve
 
@@ -184,7 +184,7 @@ def missing_terms(experiment: Experiment, before: Fit, after: Fit | None) -> lis
             return []
         base = without(before, after, balance)
         found = sensor_terms(experiment, base, after, balance)
-        if balance in UNITS and set(names) != {"backlash"}:
+        if balance in SIDES and set(names) != {"backlash"}:
             found.append(balance_term(experiment, base, after, balance, names))
         return found
 
@@ -195,15 +195,15 @@ def unexplained_terms(experiment: Experiment, fit: Fit) -> list[Missing]:
     """Return the unknown force, flow and speed that a fit needs, those that are possible."""
     small, large = (limit.as_array() for limit in limits_of(experiment))
     return unknown_terms(experiment, fit, [
-        balance for balance, able in zip(UNITS, large > small, strict=True) if able])
+        balance for balance, able in zip(SIDES, large > small, strict=True) if able])
 
 
 def unknown_terms(experiment: Experiment, fit: Fit, balances: Sequence[str]) -> list[Missing]:
     """Return the unknowns of some balances that a fit needs, smoothed."""
     states = smoothed(experiment, fit)
     tracks = tracks_of(experiment, states)
-    return [Missing(balance, UNITS[balance], tracks,
-                    tuple(one[:, STATES[balance]] for one in states)) for balance in balances]
+    return [Missing(balance, SIDES[balance], tracks,
+                    tuple(one[:, PLACES[balance]] for one in states)) for balance in balances]
 
 
 def tracks_of(experiment: Experiment, states: list[np.ndarray]) -> tuple[np.ndarray, ...]:
@@ -215,7 +215,7 @@ def tracks_of(experiment: Experiment, states: list[np.ndarray]) -> tuple[np.ndar
 def following(experiment: Experiment, base: Fit, balance: str) -> Fit:
     """Return a fit whose unknown of one balance follows what the record needs, no other."""
     low = smallest_unknowns(experiment).as_array()
-    i = list(UNITS).index(balance)
+    i = list(SIDES).index(balance)
     floor = np.minimum(base.unknowns.as_array(), 10.0 * low)
     floor[i] = 10.0 * low[i]
     start, high = floor.copy(), floor.copy()
@@ -247,7 +247,7 @@ def balance_term(experiment: Experiment, base: Fit, after: Fit, balance: str,
             modelled, tracks = both, shown
             measured = tuple(balance_flow(experiment, base, stretch, track)
                              for stretch, track in zip(experiment.stretches, tracks, strict=True))
-    return Missing(balance, UNITS[balance], tracks, measured, modelled)
+    return Missing(balance, SIDES[balance], tracks, measured, modelled)
 
 
 def as_measured(stretch: Stretch, track: np.ndarray) -> np.ndarray:

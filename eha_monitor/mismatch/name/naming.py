@@ -137,8 +137,7 @@ def naming_of(experiment: Experiment, refits: Refits,
               views: tuple[Linearised | None, Linearised], before: Fit) -> Naming:
     """Return names and probabilities of a search; ``views`` as :func:`finished` returns them."""
     best, beside = refits.best(), views[1]
-    weights = posterior(refits, [
-        (view.here, view.ranking) for view in views if view is not None])
+    weights = posterior(refits, [(view.here, view.ranking) for view in views if view is not None])
     scores = refits.scores()
     after = refits.fits[best]
     gates = tuple(gate for failed in refits.refused.values() for gate in failed)

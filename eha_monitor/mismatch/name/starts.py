@@ -65,11 +65,6 @@ def timing_free(experiment: Experiment) -> tuple[Free, ...]:
     return tuple(found)
 
 
-def configured(experiment: Experiment) -> tuple[str, ...]:
-    """Return the effects of the catalogue that the config has."""
-    return tuple(name for name, on in zip(NAMES, experiment.active, strict=False) if on)
-
-
 def config_free(experiment: Experiment, named: Sequence[str] = ()) -> tuple[Free, ...]:
     """Return the sizes of the config's effects, each free within its tolerance.
 
@@ -84,8 +79,8 @@ def config_free(experiment: Experiment, named: Sequence[str] = ()) -> tuple[Free
     taken = {inner for name in named if name in CATALOGUE
              for inner in (name, *CATALOGUE[name].contains)}
     found, width = [], experiment.settings.rig.tolerance.effects
-    for name in configured(experiment):
-        if name in taken or not possible(name, experiment):
+    for name, on in zip(NAMES, experiment.active, strict=False):
+        if not on or name in taken or not possible(name, experiment):
             continue
         for p in CATALOGUE[name].sizes:
             place = place_of(f"{name}.{p.name}")

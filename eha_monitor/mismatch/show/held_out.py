@@ -8,6 +8,7 @@ import numpy as np
 from eha_monitor.balances.baseline import Baseline
 from eha_monitor.balances.course import STANDING
 from eha_monitor.estimation.consistency import variance_ratios
+from eha_monitor.estimation.results import units_of
 from eha_monitor.estimation.sensors import true_position, true_pressure
 from eha_monitor.mismatch.data.experiment import Experiment
 from eha_monitor.mismatch.data.inputs import FORCED, Stretch
@@ -22,11 +23,11 @@ from eha_monitor.physics import signals as s
 from eha_monitor.physics.contributions import ALL_NAMES, circuit_of
 from eha_monitor.physics.plant import N_OUTPUTS, Y_P1, Y_P2, Y_V, Y_X
 from eha_monitor.quantity import quantity, share
+from eha_monitor.recordings.columns import stretches
 from eha_monitor.recordings.grid import filled
 
 SIGNALS = ("position", "velocity", "pressure_1", "pressure_2", "pump_speed")
 UNITS = ("m", "m/s", "Pa", "Pa", "rad/s")
-BASE_UNITS = {"B": "N·s/m", "beta_e": "Pa"}
 WINDOW = 0.5  # s that a model runs free
 OVERLAY = 1.0  # s of an overlay
 BLOCKS = 30  # fewest blocks of a variance ratio that is shown: chance stays below 1 +- 0.26
@@ -68,10 +69,9 @@ def windows_of(experiment: Experiment, window: float) -> list[tuple[int, int, in
     length = max(2, round(window / experiment.dt))
     found = []
     for i, mask in enumerate(unseen(experiment)):
-        edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(np.int8), [0]])))
-        for start, stop in zip(edges[::2], edges[1::2], strict=True):
-            for first in range(int(start), int(stop), length):
-                last = min(first + length, int(stop))
+        for start, stop in stretches(mask).tolist():
+            for first in range(start, stop, length):
+                last = min(first + length, stop)
                 if last - first >= length // 2:
                     found.append((i, first, last))
     return found
@@ -347,16 +347,17 @@ def agreement(experiment: Experiment, before: Fit, after: Fit) -> tuple[Agreemen
     """
     models = [before] if after is before else [before, after]
     parts = parts_of(experiment, filtered_tracks(experiment, models[-1]))
+    units = units_of(experiment.settings.rig.motion)
 
     def one(task: tuple[list[np.ndarray], Fit]) -> dict[str, Value]:
         masks, fit = task
         some = experiment.only(tuple(
             replace(stretch, counted=mask)
             for stretch, mask in zip(experiment.stretches, masks, strict=True)))
-        free = tuple(f for f in fit.free if f.name in BASE_UNITS)
+        free = tuple(f for f in fit.free if f.name in units)
         base = replace(fit, free=free, covariance=np.diag([f.spread**2 for f in free]))
         found = polished(some, base, Slopes(some), 2, 1.0)
-        return {f.name: Value(found.value(f.name), found.stddev(f.name), BASE_UNITS[f.name])
+        return {f.name: Value(found.value(f.name), found.stddev(f.name), units[f.name])
                 for f in base.free}
 
     values = spread(one, [(masks, fit) for _, masks in parts for fit in models])

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from eha_monitor import ties
+from eha_monitor.estimation.results import units_of
 from eha_monitor.mismatch.data.experiment import Experiment
 from eha_monitor.mismatch.diagnosis import (
     Agreement,
@@ -36,15 +37,11 @@ ALIKE = 0.99  # correlation of their errors where both are the same number
 
 def values_of(experiment: Experiment, fit: Fit) -> dict[str, Value]:
     """Return B and beta_e of a fit with their standard deviations."""
-    unit = "N·s/m" if experiment.settings.rig.motion == "linear" else "N·m·s/rad"
-    known = {f.name for f in fit.free}
-    found = {}
-    if "B" in known:
-        found["B"] = Value(fit.value("B"), float(np.hypot(
-            fit.stddev("B"), of_the_areas(experiment) * fit.value("B"))), unit)
-    if "beta_e" in known:
-        found["beta_e"] = Value(fit.value("beta_e"), fit.stddev("beta_e"), "Pa")
-    return found
+    wrong = {"B": of_the_areas(experiment)}
+    return {name: Value(fit.value(name), float(np.hypot(
+                fit.stddev(name), wrong.get(name, 0.0) * fit.value(name))), unit)
+            for name, unit in units_of(experiment.settings.rig.motion).items()
+            if any(f.name == name for f in fit.free)}
 
 
 def of_the_areas(experiment: Experiment) -> float:
