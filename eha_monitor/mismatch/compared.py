@@ -74,12 +74,13 @@ def beside(machine: Machine, recordings: Sequence[Recording], settings: Settings
     Raises
     ------
     InputError
-        If one side has no force balance.
+        If one side has no force balance, or numbers break the calculation.
     """
     started = time.perf_counter()
-    recordings, events = without_events(recordings, settings)
-    recordings, points = since_change(recordings, settings)
-    found = against(machine, recordings, settings, machine.sources)
+    with computing(*(one.source for one in recordings)):
+        recordings, events = without_events(recordings, settings)
+        recordings, points = since_change(recordings, settings)
+        found = against(machine, recordings, settings, machine.sources)
     return found.around(events).since(points, started)
 
 
