@@ -223,7 +223,7 @@ class _Choice:
                     steady.remove(name)
                 elif ground not in steady:
                     steady.insert(0, ground)
-            for name in steady:
+            for name in steady[:1] if of[members[0]].sole else steady:
                 if of[name].effect not in {of[other].effect for other in kept}:
                     kept.append(name)
         rivals = {}
@@ -462,10 +462,12 @@ def chosen_on(table: Table, half: tuple[np.ndarray, np.ndarray], always: Sequenc
     of: dict[str, Candidate] = {one.name: one for one in table.candidates}
     error = _error(table, half, names)
     while len(names) < MOST_TERMS:
-        taken = {of[name].effect for name in names}
+        taken, kinds = ({getattr(of[name], which) for name in names}
+                        for which in ("effect", "kind"))
         best, least = None, error * np.exp(-policy.alone)
         for name in allowed:
             if name in names or (of[name].variant and of[name].effect in taken) or (
+                    of[name].sole and of[name].kind in kinds) or (
                     name not in founded([*names, name], of)):
                 continue
             found = _error(table, half, [*names, name])

@@ -47,6 +47,7 @@ SLOW = (0.03, 0.1, 0.3)
 FALLS, SHARES = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05), (0.01, 0.02, 0.05, 0.1, 0.3, 1.0)
 TOPS = (0.999, 0.98, 0.9)  # quantiles of the pump's speed at which its drive may saturate
 MASS = 5.0  # times the config's: oil in lines moves with the piston, but not more than that
+LATE = 0.1  # s: as late as the catalogue's delay may be
 AIR_EXPONENT = 1.4  # adiabatic
 LAMINAR = 1e4  # Pa: the catalogue's own rounding of a flow at no pressure difference
 DRY = "dry"  # family of dry friction
@@ -79,6 +80,7 @@ class Candidate:
     of_oil : it goes with the viscosity of the oil, which no recording shares with another.
     family : names of one family stand for one another: recordings rarely separate them.
     variant : one of several shapes of its effect; only one of them enters.
+    sole : of its family only one enters, as they are nearly one column.
     limit : a larger parameter is no physics of this rig, but the error of another term.
     between : relative spread between recordings where it is not the policy's.
     needs : what must vary between recordings, ``load`` or ``pressure``, before it can be
@@ -105,6 +107,7 @@ class Candidate:
     of_oil: bool = False
     family: str = ""
     variant: bool = False
+    sole: bool = False
     needs: str = ""
     limit: float = np.inf
     between: float | None = None
@@ -308,8 +311,12 @@ def force_candidates(scale: Scale, rig: Rig) -> tuple[Candidate, ...]:
         one("F_v", "valve_direction", "N", "force in the direction of valve or pump", 0,
             lambda c, r: c.commanded if valves(c, r) else None),
         one("dM", "added_mass", "kg", "moving mass beyond the config's", 0, lambda c, r: c.a,
-            limit=MASS * rig.mass, symbol="dM", power=2.0, twins=("pressure_delay",),
-            configured=rig.mass),
+            family="inertia", variant=True, sole=True, limit=MASS * rig.mass, symbol="dM",
+            power=2.0, configured=rig.mass),
+        # Pressures that come late by T: less mass by T B, and with a spring less damping by T k.
+        one("T_p", "pressure_delay", "s", "delay of the pressures", 1,
+            lambda c, r: None if c.p1 is None else -slope(c.force, c.dt), family="inertia",
+            variant=True, sole=True, limit=LATE, symbol="T", power=2.0),
         one("a_1", "quadratic_friction", "N·s²/m²", "quadratic damping", 1,
             lambda c, r: c.v * np.abs(c.v), family="viscous", symbol="a_1", power=2.0),
         one("dB", "asymmetric_friction", "N·s/m", "damping more forwards than the mean", 0,

@@ -312,7 +312,7 @@ class Settings(Section):
                               "(signs, units, swapped channels): refuse it, or process it with a "
                               "warning")
     thresholds: Thresholds = Field(Thresholds(), description="alarm limits; the defaults are for "
-                                   "the paper's rig, and another one has none")
+                                   "a rig like the default one, any other has none")
     viscosity: Viscosity = Field(Viscosity(), description="temperature compensation of B and of "
                                  "leakage")
     health: Health = Field(Health(), description="reference conditions and limits of the health "
