@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from eha_monitor.balances.candidates import WATCHED
+from eha_monitor.balances.candidates import BASE, WATCHED
 from eha_monitor.balances.least_squares import inverse_of
 from eha_monitor.balances.machine import Machine
 from eha_monitor.balances.model import Model, Term
@@ -59,17 +59,23 @@ def advice_of(models: Sequence[Model], machine: Machine | None) -> tuple[str, ..
 
 def least_change(machine: Machine) -> str:
     """Return from which size on a change of the machine's own numbers shows, as a sentence."""
-    found = []
+    found, none = [], []
     for one in machine.balances:
         for p in one.parameters:
             by = [scatter.shows[p.name] for scatter in (one.scatter, one.beside)
                   if p.name in scatter.shows]
             if p.name in WATCHED and by and machine.policy.sure(p.value, p.stddev):
                 least = min(by)
+                if least > abs(p.value) and p.name in BASE:  # they differ by more than it is
+                    none.append(effect_words(p.effect))
+                    continue
                 found.append(f"{effect_words(p.effect)} " + (
                     share(least / abs(p.value), 2) if p.name == "C_h" else
                     quantity(least, p.unit, 2)))
-    return f"beside {machine.runs} a change shows from: {', '.join(found)}" if found else ""
+    return "; ".join([
+        *([f"beside {machine.runs} a change shows from: {', '.join(found)}"] if found else []),
+        *([f"{machine.runs} differ too much to show any change of {listed(none)}"]
+          if none else [])])
 
 
 def narrowed(model: Model) -> dict[str, list[tuple[Term, float]]]:

@@ -74,12 +74,16 @@ WHERE = ("force", "flow", "drive", "sensor")
 
 @dataclass(frozen=True)
 class Asked:
-    """What a diagnosis is asked beside its recordings; see :func:`mismatch.diagnose.diagnose`."""
+    """What a diagnosis is asked beside its recordings; see :func:`mismatch.diagnose.diagnose`.
+
+    ``newest`` : the first recording is, and its load goes into the config.
+    """
 
     held_out: Recording | None = None
     hypothesis: Hypothesis | None = None
     without: tuple[str, ...] = ()
     vary: tuple[str, ...] = ()
+    newest: bool = False
 
 
 def answered(recordings: Sequence[Recording], settings: Settings, asked: Asked = Asked(),
@@ -123,7 +127,7 @@ def answered(recordings: Sequence[Recording], settings: Settings, asked: Asked =
                   if one.balance in there]
     flow = next((one["D_p"] for one in models if one.balance == "flow"), None)
     found = _composed(models, shown, settings, policy, leak_or_source(
-        courses, settings, None if flow is None else flow.value, policy))
+        courses, settings, None if flow is None else flow.value, policy), asked.newest)
     return replace(
         found, bags=tuple(one.source for one in recordings),
         data="held_out" if asked.held_out is None else "held_out_bag", baselines=baselines,
@@ -173,12 +177,14 @@ def still(recordings: Sequence[Recording], courses: Sequence[Course], baselines:
 
 
 def _composed(models: Sequence[Model], courses: Sequence[Course], settings: Settings,
-              policy: Policy, charge: NamedEffect | RigFinding | None) -> Diagnosis:
+              policy: Policy, charge: NamedEffect | RigFinding | None, newest: bool
+              ) -> Diagnosis:
     """Return verdict, names, numbers, place and proof of models.
 
     Parameters
     ----------
     charge : what the mean pressure says.
+    newest : as :class:`Asked`.
     """
     rig = settings.rig
     varying = [one.balance for one in models if only_load(one, policy)]
@@ -241,7 +247,7 @@ def _composed(models: Sequence[Model], courses: Sequence[Course], settings: Sett
             {name: value}, after, [e for e in effects if e.balance == BALANCE_OF[name]])
         ) + warmed,
         drift=drift,
-        config_effects=config_effects(models, effects, settings) | {
+        config_effects=config_effects(models, effects, settings, newest) | {
             f"learned_{term.adds}": term.entry for term in learned.values()},
         learned=tuple(learned.values()),
         probability={"consistent": np.nan, "unexplained": np.nan}, rig_data=wrong,

@@ -378,8 +378,11 @@ class Beside:
         here, mean = float(value[0]), float(scatter.mean[place])
         # Areas and lateness are the same in all recordings of a machine.
         apart = float(np.sqrt(chance[0, 0] + scatter.spread[place] ** 2))
+        # The limit guards against one of many names that happens to be far off; where one alone
+        # leaves as little as healthy recordings do, that something has come is no question.
         t, limit = (here - mean) / apart, float(scatter.limit[place])
-        if not abs(t) > max(limit, policy.owed) or self.less_than_nothing(name, here) > 0.0:
+        owed = policy.owed if left[at] <= 1.0 else max(limit, policy.owed)
+        if not abs(t) > owed or self.less_than_nothing(name, here) > 0.0:
             return None
         rivals = tuple(dict.fromkeys([*self.of[name].twins, *(
             self.of[other].effect for other, rest in zip(tried, left, strict=True)

@@ -81,6 +81,7 @@ class Candidate:
     family : names of one family stand for one another: recordings rarely separate them.
     variant : one of several shapes of its effect; only one of them enters.
     sole : of its family only one enters, as they are nearly one column.
+    lasting : it is the same in all recordings of a machine, and no change of it.
     limit : a larger parameter is no physics of this rig, but the error of another term.
     between : relative spread between recordings where it is not the policy's.
     needs : what must vary between recordings, ``load`` or ``pressure``, before it can be
@@ -108,6 +109,7 @@ class Candidate:
     family: str = ""
     variant: bool = False
     sole: bool = False
+    lasting: bool = False
     needs: str = ""
     limit: float = np.inf
     between: float | None = None
@@ -316,7 +318,7 @@ def force_candidates(scale: Scale, rig: Rig) -> tuple[Candidate, ...]:
         # Pressures that come late by T: less mass by T B, and with a spring less damping by T k.
         one("T_p", "pressure_delay", "s", "delay of the pressures", 1,
             lambda c, r: None if c.p1 is None else -slope(c.force, c.dt), family="inertia",
-            variant=True, sole=True, limit=LATE, symbol="T", power=2.0),
+            variant=True, sole=True, lasting=True, limit=LATE, symbol="T", power=2.0),
         one("a_1", "quadratic_friction", "N·s²/m²", "quadratic damping", 1,
             lambda c, r: c.v * np.abs(c.v), family="viscous", symbol="a_1", power=2.0),
         one("dB", "asymmetric_friction", "N·s/m", "damping more forwards than the mean", 0,

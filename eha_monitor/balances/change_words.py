@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from eha_monitor.balances.advice import least_change
+from eha_monitor.balances.candidates import Candidate
 from eha_monitor.balances.course import Course
 from eha_monitor.balances.judged import Judged, JudgedBalance, Moved
 from eha_monitor.balances.machine import Machine
@@ -42,6 +43,11 @@ def change_of(moved: Moved, machine: Machine, settings: Settings, stiffness: Sti
         tuple(EFFECTS.get(one, one) for one in moved.rivals))
 
 
+def beyond_config(c: Candidate) -> float:
+    """Return what the config has of a mass or a gain, which are told as what is beyond it."""
+    return c.configured if c.name in ("dM", "k_d") else 0.0
+
+
 def _in_words(moved: Moved, settings: Settings, oils: tuple[Stiffness, Stiffness]
               ) -> tuple[Value, Value, str]:
     """Return the machine's value, that of the recording, and the unit: beta_e of a compliance.
@@ -53,8 +59,7 @@ def _in_words(moved: Moved, settings: Settings, oils: tuple[Stiffness, Stiffness
     oils : what the oil of the machine and of the recordings is by itself.
     """
     rig, c = settings.rig, moved.candidate
-    # A mass and a gain as what is beyond the config's.
-    held = 0.0 if c.name in ("dM", "k_d") else c.configured
+    held = c.configured - beyond_config(c)
     pair = (moved.machine + held, moved.spread), (moved.here + held, moved.stddev)
     if c.sign > 0:  # what cannot be negative and is so by chance is nil
         pair = tuple((max(value, 0.0) if POLICY.varied * stddev > -value else value, stddev)
@@ -82,9 +87,10 @@ def in_share(moved: Moved, change: Change) -> str:
     And what else explains it as well.
     """
     healthy, by = change.reference, ""
-    if change.unit == moved.candidate.unit and POLICY.sure(healthy.value, healthy.stddev):
-        more = (change.now.value - healthy.value) / abs(healthy.value)
-        doubt = np.hypot(moved.apart, more * healthy.stddev) / abs(healthy.value)
+    whole = healthy.value + beyond_config(moved.candidate)
+    if change.unit == moved.candidate.unit and POLICY.sure(whole, healthy.stddev):
+        more = (change.now.value - healthy.value) / abs(whole)
+        doubt = np.hypot(moved.apart, more * healthy.stddev) / abs(whole)
         if abs(more) < 1.0:  # of a correction that is nearly nil, 320 % say nothing
             by = (f", {'+' if more > 0.0 else ''}"
                   f"{with_uncertainty(100.0 * more, 100.0 * doubt, '%')}")

@@ -255,11 +255,21 @@ def _model(one: JudgedBalance) -> Model:
 
 
 def _as_stiff(moved: Moved, machine: Machine, stiffness: Stiffness) -> bool:
-    """Tell whether a compliance has moved whose oil, by itself, is as stiff as the machine's."""
+    """Tell whether a compliance has moved as the oil has by itself, or has not.
+
+    That over the stroke is the area's over the bulk modulus: it moves as the chambers' do.
+    """
     oils = machine.stiffness, stiffness
-    return moved.candidate.name == "C_h" and all(POLICY.sure(*one.modulus) for one in oils) and (
-        abs(oils[0].value - oils[1].value) < np.hypot(*(
-            np.hypot(one.between, one.stddev) for one in oils)))
+    if moved.candidate.name not in ("C_h", "C_x") or not all(
+            POLICY.sure(*one.modulus) for one in oils):
+        return False
+    spreads = [float(np.hypot(one.between, one.stddev)) for one in oils]
+    if moved.candidate.name == "C_h":
+        return abs(oils[0].value - oils[1].value) < np.hypot(*spreads)
+    ratio = oils[1].value / oils[0].value
+    doubt = ratio * np.hypot(*(s / one.value for s, one in zip(spreads, oils, strict=True)))
+    return POLICY.varied * np.hypot(moved.apart, moved.machine * doubt) > abs(
+        moved.here - ratio * moved.machine)
 
 
 def _with_oil(machine: Machine, judged: Judged, stiffness: Stiffness, rig: Rig) -> Judged | None:

@@ -357,7 +357,10 @@ def machine_from(courses: Sequence[Course], rig: Rig, vary: Sequence[str], witho
     lowest = tuple(row if np.isfinite(row).all() else ()
                    for row in zip(*(course.lowest(rig) for course in courses), strict=True))
     return Machine(rig.name, sources, scale, bool(varied), pieces, tuple(found),
-                   _odd(sources, found, policy), policy, stiffness_of(courses, rig),
+                   _odd(sources, found, {
+                       c.name: c.between for one in found
+                       for c in candidates_of(one.balance, scale, rig)}, policy), policy,
+                   stiffness_of(courses, rig),
                    (rig.area_1, rig.area_2), rig.mass, rig.pump_displacement,
                    courses[0].oil, courses[0].apart,
                    viscosity if np.isfinite(viscosity).all() else (),
@@ -388,7 +391,8 @@ def pressure_varied(courses: Sequence[Course], policy: Policy) -> bool:
 def _balance(kind: str, courses: Sequence[Course], scale: Scale, rig: Rig,
              how: tuple[Sequence[str], Sequence[str], bool], policy: Policy) -> MachineBalance:
     varied, out, pieces = how
-    tables = tables_of(courses, rig, kind, candidates_of(kind, scale, rig, varied, out), policy)
+    tables = tables_of(courses, rig, kind, [
+        one for one in candidates_of(kind, scale, rig, varied, out) if not one.lasting], policy)
     recordings = Recordings(tables)
     of, allowed = recordings.candidates, [one.name for one in tables[0].candidates]
     # What is named is named beside them; what they are on the mean, and their spread, is the
@@ -543,9 +547,15 @@ def varies(value: np.ndarray, stddev: np.ndarray, size: float, policy: Policy) -
         0.2 * np.abs(value).max(), policy.worse * size))
 
 
-def _odd(sources: Sequence[str], balances: Sequence[MachineBalance], policy: Policy
-         ) -> tuple[Odd, ...]:
-    """Return recordings whose error or parameter is far from those of all others."""
+def _odd(sources: Sequence[str], balances: Sequence[MachineBalance],
+         typical: Mapping[str, float | None], policy: Policy) -> tuple[Odd, ...]:
+    """Return recordings whose error or parameter is far from those of all others.
+
+    Parameters
+    ----------
+    typical : relative spread of each term between recordings, None the policy's: a pump of
+        another machine is none of 5 %.
+    """
     found: dict[int, Odd] = {}
     for one in balances:
         log = np.log(np.maximum(one.error, 1e-12))
@@ -557,17 +567,20 @@ def _odd(sources: Sequence[str], balances: Sequence[MachineBalance], policy: Pol
                     f"its {one.balance} is {100 * error:.0f} % unexplained, the others "
                     f"{100 * np.exp(middle):.0f} %"), i))
         each, stddevs = np.array(one.each), np.array(one.each_stddev)
-        sure = {*BASE, *(name for family in one.named for name in family.terms)}
+        sure = {*BASE, "C_h", *(name for family in one.named for name in family.terms)}
         for j, p in enumerate(one.parameters):
             if p.name not in sure:  # a correction of form is of the motion, not of the machine
                 continue
             for i, source in enumerate(sources):
                 rest = np.arange(len(sources)) != i
                 value, between, stddev = pooled(each[rest, j], stddevs[rest, j], p.value)
-                between = max(between, LEAST * policy.between * abs(value))
+                between = max(between, LEAST * abs(value) * (
+                    typical.get(p.name) or policy.between))
                 far = abs(each[i, j] - value) / max(
                     np.sqrt(between**2 + stddev**2 + stddevs[i, j] ** 2), 1e-300)
-                small = one.levers and abs(each[i, j] - value) * one.levers[j] < policy.worse
+                # Compressed oil is a small part of any flow, and the health of the machine.
+                small = one.levers and p.name != "C_h" and (
+                    abs(each[i, j] - value) * one.levers[j] < policy.worse)
                 if np.isfinite(far) and far > policy.odd and not small:
                     found.setdefault(i, Odd(source, f"its {p.words} is {far:.1f} deviations "
                                             "from that of the others", i))

@@ -190,12 +190,12 @@ def numbers_of(name: str, terms: Sequence[Term], values: dict[str, Value]) -> di
     return numbers
 
 
-def config_effects(models: Sequence[Model], effects: Sequence[NamedEffect], settings: Settings
-                   ) -> dict[str, dict[str, float]]:
+def config_effects(models: Sequence[Model], effects: Sequence[NamedEffect], settings: Settings,
+                   newest: bool) -> dict[str, dict[str, float]]:
     """Return the ``effects:`` section: what the config had, and what of the catalogue is named.
 
     What the catalogue does not hold, or not that way round, has no place there.  A load that
-    differs over the recordings is that of the first one, the newest where the monitor asks.
+    differs over the recordings is their mean, or that of the first where it is the ``newest``.
     """
     found = {name: dict(values) for name, values in settings.effects.items()}
     for effect in effects:
@@ -204,7 +204,7 @@ def config_effects(models: Sequence[Model], effects: Sequence[NamedEffect], sett
         if entry is None:
             continue
         terms = [t for t in model.named if t.candidate.effect in (effect.name, *entry.contains)]
-        first = {t.candidate.symbol: t.each[0] - t.value for t in terms if t.each}
+        first = {t.candidate.symbol: t.each[0] - t.value for t in terms if t.each and newest}
         values = {symbol: replace(value, value=value.value + first.get(symbol, 0.0))
                   for symbol, value in effect.parameters.items()}
         if effect.name in found:

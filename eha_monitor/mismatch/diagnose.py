@@ -109,14 +109,15 @@ def _diagnosed(recordings: list[Recording], settings: Settings, held_out: Record
                vary: tuple[str, ...], known: Sequence[Fit] | None = None) -> Answered:
     if by_balances(recordings, settings):
         say("least squares on the balances", 0.1)
-        found = answered(recordings, settings, Asked(held_out, hypothesis, without, vary))
+        found = answered(recordings, settings, Asked(
+            held_out, hypothesis, without, vary, known is not None))
         # Where a pump drives a config with a make-up path there is no other reason.
         if mode_of(recordings[0], settings) != FORCED and settings.rig.makeup_conductance > 0.0:
             found = replace(found, advice=(HELD, *found.advice))
         return Answered(found, None, False)
     started = time.perf_counter()
     say("least squares on the balances", 0.02)
-    asked = Asked(held_out, None, without, vary)
+    asked = Asked(held_out, None, without, vary, known is not None)
     first = first_answer(recordings, settings, asked)
     far = hypothesis is None and far_from_config(first)
     # Several say more together than a filter of one law can.
