@@ -1,6 +1,7 @@
 """How the numbers of a machine that have changed are said: records, sentences, what to do next."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -17,7 +18,7 @@ from eha_monitor.quantity import number, share, with_uncertainty
 from eha_monitor.settings.monitor import Settings
 from eha_monitor.words import effect_words, listed
 
-SHARED = 0.5  # of a deviation: less of it is of the difference, so that is told too
+SHARED = 0.9  # of the deviations of both: the difference is known better, so it is told too
 FASTER = 1.2  # times the references' speed: beyond it nothing is known of the machine
 WHAT = {"B": "B", "C_h": "beta_e", "D_p": "pump_displacement"}
 EFFECTS = {"viscous_damping": "B", "compliance": "beta_e"}
@@ -27,15 +28,21 @@ WORDS = {"B": "viscous damping B", "C_h": "the effective bulk modulus",
 
 def change_of(moved: Moved, machine: Machine, settings: Settings, stiffness: Stiffness) -> Change:
     """Return the record of a number that has changed."""
-    healthy, now, unit = _in_words(moved, settings, (machine.stiffness, stiffness))
     c = moved.candidate
+    # What moves a number in both alike, all else held, says nothing of how large it is.
+    own = next((p.stddev for one in machine.balances for p in one.parameters
+                if p.name == c.name and abs(p.value - moved.machine) < moved.spread), 0.0)
+    healthy, now, unit = _in_words(replace(
+        moved, spread=max(moved.spread, own), stddev=max(moved.stddev, own)), settings, (
+            machine.stiffness, stiffness))
     what, name = WHAT.get(c.name, c.effect), effect_words(c.effect)
     words = WORDS.get(c.name) or (name if c.words in name else f"{name} ({c.words})")
     if c.name == "C_h" and unit == c.unit:  # of nothing no modulus can be said
         what, words = c.effect, "the compliance of a chamber"
     symbol = "" if c.name in WHAT else c.symbol or c.name
     runs, more = machine.runs, moved.here - moved.machine
-    by = "" if unit != c.unit or not moved.apart < SHARED * moved.stddev else (
+    by = "" if unit != c.unit or not moved.apart < SHARED * np.hypot(
+            now.stddev, healthy.stddev) else (
         f", {with_uncertainty(abs(more), moved.apart, unit)} {'more' if more > 0.0 else 'less'}")
     return Change(what, symbol, c.balance, healthy, now, unit, (
         f"{words} is {with_uncertainty(now.value, now.stddev, unit)}, where {runs} have "

@@ -74,7 +74,8 @@ def against(machine: Machine, recordings: Sequence[Recording], settings: Setting
         set() if sensor else blind.keys() & {"drive"})
     read, judged = (replace(some, balances=tuple(
         one for one in some.balances if one.balance not in lost)) for some in (read, judged))
-    apart, viscosity = apart + _other_pump(machine, judged), viscosity_of(courses)
+    apart += (*_other_pump(machine, judged), *_other_areas(machine, judged, rig))
+    viscosity = viscosity_of(courses)
     stiffness = stiffness_of(courses, rig)
     judged = replace(judged, balances=tuple(replace(one, changed=tuple(
         moved for moved in one.changed if not _as_stiff(moved, machine, stiffness)))
@@ -198,6 +199,26 @@ def _other_pump(machine: Machine, judged: Judged) -> tuple[str, ...]:
         "of this machine" for one in machine.balances for p in one.parameters
         if p.name == "D_p" and p.value > 0.0 and p.name in judged.values
         and of_another(judged.values[p.name][0], p.value))
+
+
+def _other_areas(machine: Machine, judged: Judged, rig: Rig) -> tuple[str, ...]:
+    """Return what says that the areas are others: pump and mass are off by the same share.
+
+    The flow is the area's times the speed, the force the area's times the pressure: with areas
+    that are larger both read less.
+    """
+    own = {p.name: p.value for one in machine.balances for p in one.parameters}
+    if not {"D_p", "dM"} <= own.keys() & judged.values.keys():
+        return ()
+    pump = judged.values["D_p"][0] / own["D_p"]
+    mass = (rig.mass + judged.values["dM"][0]) / (rig.mass + own["dM"])
+    off, policy = pump - 1.0, machine.policy
+    if abs(off) < policy.worse or abs(mass - pump) > policy.small * abs(off):
+        return ()
+    return (f"{judged.source}: pump displacement and moving mass are both {share(abs(off), 2)} "
+            f"{'less' if off < 0.0 else 'more'} than the machine's, as with piston areas that are "
+            f"{'larger' if off < 0.0 else 'smaller'} by that: check whether it is a recording of "
+            "this cylinder",)
 
 
 def _blind(machine: Machine, there: Sequence[str]) -> dict[str, float]:
