@@ -12,7 +12,7 @@ import pytest
 from machine_tools import healthy_machine
 from scipy.ndimage import gaussian_filter1d
 
-from eha_monitor.balances.answer import answered
+from eha_monitor.balances.answer import Asked, answered
 from eha_monitor.balances.changed import against
 from eha_monitor.balances.judge import judge
 from eha_monitor.balances.measured import course_of
@@ -23,10 +23,13 @@ AREA, PUMP, GAIN, MASS, DAMPING = 1.4e-3, 1.9e-7, 1.5e5, 180.0, 4000.0
 DT, SECONDS, LAG, HELD = 4e-3, 24.0, 6e-3, ("h",) * 5
 
 
-def loop(seed, limit=np.inf, source=5e5, gust=0.0, dry=300.0):
+def loop(seed, limit=np.inf, source=5e5, gust=0.0, dry=300.0, load=0.0, pump=PUMP, wider=1.0):
     """Return a recording; ``limit`` of the drive in rad/s, ``source`` pressure in Pa, a random
-    ``gust`` and ``dry`` friction in N.
+    ``gust``, ``dry`` friction and ``load`` in N.
+
+    ``wider`` : areas over the config's.
     """
+    area = wider * AREA
     rng = np.random.default_rng(seed)
     fine = 8
     h = DT / fine
@@ -38,15 +41,15 @@ def loop(seed, limit=np.inf, source=5e5, gust=0.0, dry=300.0):
     for i, wanted in enumerate(x_d):
         x[i], omega[i] = now, speed
         speed += (np.clip(GAIN * (wanted - now), -limit, limit) - speed) * h / LAG
-        now += PUMP / AREA * speed * h
-    v = PUMP / AREA * omega
-    force = MASS * np.gradient(v, h) + DAMPING * v + dry * np.tanh(v / 1e-3)
+        now += pump / area * speed * h
+    v = pump / area * omega
+    force = MASS * np.gradient(v, h) + DAMPING * v + dry * np.tanh(v / 1e-3) + load
     force += gust * gaussian_filter1d(rng.standard_normal(len(t)), 0.1 / h) * np.sqrt(0.35 / h)
     channels = {
         "x": x + 2e-6 * rng.standard_normal(len(t)), "x_d": x_d,
         "omega": omega + 0.1 * rng.standard_normal(len(t)),
-        "p1": source + np.maximum(force, 0.0) / AREA + 2e3 * rng.standard_normal(len(t)),
-        "p2": source + np.maximum(-force, 0.0) / AREA + 2e3 * rng.standard_normal(len(t))}
+        "p1": source + np.maximum(force, 0.0) / area + 2e3 * rng.standard_normal(len(t)),
+        "p2": source + np.maximum(-force, 0.0) / area + 2e3 * rng.standard_normal(len(t))}
     return Recording(DT, {name: values[::fine] for name, values in channels.items()},
                      source=f"loop {seed}")
 
@@ -67,6 +70,29 @@ def healthy(settings):
 def test_a_healthy_one_is_left_alone(healthy, settings):
     for seed in (10, 11, 12):
         assert against(healthy, [loop(seed)], settings, HELD).verdict == "consistent"
+
+
+def test_a_pump_of_another_machine_among_the_references_is_found(settings):
+    """A spread of 5 % for every number had hidden one of a fifth less."""
+    machine = healthy_machine([*(loop(seed) for seed in range(4)), loop(4, pump=0.8 * PUMP)],
+                              settings)
+    (odd,) = machine.odd
+    assert odd.source == "loop 4" and "pump displacement" in odd.why
+    found = against(machine, [loop(10, pump=0.96 * PUMP)], settings, HELD)
+    assert [one.what for one in found.changes] == ["pump_displacement"]
+
+
+def test_pump_and_mass_off_by_one_share_are_wider_areas(healthy, settings):
+    wider, worn = (" ".join(against(healthy, [one], settings, HELD).health) for one in (
+        loop(10, wider=1.1), loop(10, pump=0.9 * PUMP)))
+    assert "with piston areas that are larger" in wider and "areas" not in worn
+
+
+def test_a_load_that_differs_is_written_as_the_mean(settings):
+    recordings = [loop(seed, load=load) for seed, load in enumerate((400.0, 520.0, 640.0))]
+    mean, first = (answered(recordings, settings, Asked(newest=newest)).config_effects[
+        "constant_load"]["F_0"] for newest in (False, True))
+    assert mean == pytest.approx(520.0, abs=15.0) and first == pytest.approx(400.0, abs=15.0)
 
 
 @pytest.mark.parametrize(("source", "seed"), [(1.5e5, 20), (9e5, 21), (4e5, 22)])

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from eha_monitor.balances.alone import covariance_by_chance
 from eha_monitor.balances.answer import overlay_of, place_of, still
 from eha_monitor.balances.candidates import SIDES, balances_in
 from eha_monitor.balances.change_words import WORDS, advice_beside, change_of, in_share, message_of
@@ -208,10 +209,16 @@ def _other_areas(machine: Machine, judged: Judged, rig: Rig) -> tuple[str, ...]:
     that are larger both read less.
     """
     own = {p.name: p.value for one in machine.balances for p in one.parameters}
-    if not {"D_p", "dM"} <= own.keys() & judged.values.keys():
+    force = next((one for one in judged.balances if one.balance == "force"), None)
+    scatter = next((one.scatter for one in machine.balances if one.balance == "force"), None)
+    if not own.get("D_p") or "D_p" not in judged.values or force is None or (
+            "dM" not in force.table.places or "dM" not in (*own, *scatter.names)):
         return ()
+    usual = own["dM"] if "dM" in own else scatter.mean[scatter.names.index("dM")]
+    names = list(dict.fromkeys(["dM", *force.free, *force.now]))
+    here = covariance_by_chance(force.table, [n for n in names if n in force.table.places])[0][0]
     pump = judged.values["D_p"][0] / own["D_p"]
-    mass = (rig.mass + judged.values["dM"][0]) / (rig.mass + own["dM"])
+    mass = (rig.mass + here) / (rig.mass + usual)
     off, policy = pump - 1.0, machine.policy
     if abs(off) < policy.worse or abs(mass - pump) > policy.small * abs(off):
         return ()
