@@ -136,7 +136,7 @@ def course_within(recording: Recording, settings: Settings, band: float) -> Cour
         least = min(seldom, key=seldom.get)
         raise InputError(
             f"{recording.source}: expected at least {SHORTEST:g} s of motion away from stops with "
-            f"all channels, found {good.sum() * step:.1f} s" + (
+            f"all channels, found {good.sum() * step:.2g} s" + (
                 f"; {least} has a value in {share(seldom[least], 2)} of the rows"
                 if seldom[least] < SELDOM else ""))
     v, x = v[::every], np.ascontiguousarray(x[::every])  # one layout for compiled loops
