@@ -191,6 +191,9 @@ class Diagnosis(Record, Found):
     change_points : tuple of ChangePoint
         Where a number changed while a recording ran: bag, before_s, since_s, step, statement.
         All else is of the state since.
+    drift : Value or None
+        By how much viscous damping changes from start to end, as in oil that warms, where it
+        surely does, N·s/m.
     events : tuple of Event
         What disturbed a recording for a while: bag, start_s, stop_s, balance, size, statement.
         All else is of the rest.
@@ -421,8 +424,8 @@ RIG_KEYS = {"B": "viscous_damping", "beta_e": "bulk_modulus"}
 # Keys of the answer that are fields of the record.
 AS_THEY_ARE = ("rig_data", "rig_within", "location", "effects", "advice", "message", "bags",
                "health", "remarks", "agreement", "considered", "curves", "references",
-               "config_effects", "gates", "change_points", "events", "blind", "policy", "named_on",
-               "duration_s", "wall_s")
+               "config_effects", "gates", "change_points", "drift", "events", "blind", "policy",
+               "named_on", "duration_s", "wall_s")
 _WIDTH = 95  # of the head of a written config
 
 

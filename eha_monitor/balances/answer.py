@@ -235,7 +235,7 @@ def _composed(models: Sequence[Model], courses: Sequence[Course], settings: Sett
           for one in open_),
         *(term.message for term in learned.values()),
         *map(_unsure_words, [one for one in unsure if one.balance not in nameless])]) or (
-        "; ".join((_agreeing_words(models, within, policy), *warmed)))
+        "; ".join((_agreeing_words(models, rig, within, policy), *warmed)))
     return Diagnosis(
         (), verdict, message, where, tuple(effects), before, after, "held_out",
         {one.balance: SignalFit(SIDES[one.balance], one.nominal_error * one.size,
@@ -273,7 +273,8 @@ def _warmed(drift: Value, recordings: int) -> str:
             f"{'the usual' if recordings > 1 else 'the'} recording, as in oil that warms or cools")
 
 
-def _agreeing_words(models: Sequence[Model], within: Sequence[RigFinding], policy: Policy) -> str:
+def _agreeing_words(models: Sequence[Model], rig: Rig, within: Sequence[RigFinding],
+                    policy: Policy) -> str:
     """Return that nothing is missing that has a name, and what is left all the same.
 
     A number that may be what it is, by its tolerance, is told: a leakage known to a factor of
@@ -284,7 +285,8 @@ def _agreeing_words(models: Sequence[Model], within: Sequence[RigFinding], polic
     off = [(one.key, one.configured, one.found) for one in within]
     off += [(f"{term.candidate.effect}.{term.candidate.symbol}", term.candidate.held,
              Value(term.candidate.held + value, stddev, term.candidate.unit))
-            for one in models for term in one.terms if term.candidate.held
+            for one in models for term in one.terms
+            if term.candidate.held and within_tolerance(term, rig, policy)
             for value, stddev in [term.quantity] if policy.sure(value, stddev)]
     moved = [f"{key} is {other}, where it has {given}" for key, configured, found in off
              for given, other in [side_by_side(configured, found.value, found.stddev,
