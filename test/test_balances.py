@@ -36,7 +36,7 @@ from eha_monitor.balances.scatter import amplitudes_of
 from eha_monitor.balances.table import pooled_table, tables_of
 from eha_monitor.balances.together import of_one_machine
 from eha_monitor.concealed.cases import Case
-from eha_monitor.mismatch.beside_balances import agrees_closely
+from eha_monitor.mismatch.beside_balances import agrees_closely, drifts
 from eha_monitor.mismatch.diagnose import diagnose
 from eha_monitor.mismatch.diagnosis import (
     Diagnosis,
@@ -604,6 +604,30 @@ def test_a_wrong_mass_is_named_however_little_of_the_force_it_is(tmp_path, mass,
         assert size.value == pytest.approx(mass - 55.0, abs=2.0 * size.stddev)
     assert found.after["B"].value == pytest.approx(1500.0, abs=2.0 * found.after["B"].stddev)
     assert agrees_closely(found) is not named
+
+
+def test_damping_that_falls_beside_a_spring_is_in_the_sentence(tmp_path):
+    """Of a force that is nearly all the spring's a share of 2 % had hidden it."""
+    config = with_effects(stranger_settings(tmp_path), spring_load={"k": 3.03e4, "x_0": 0.2})
+    recording = stranger(3, dry=0.0, rise=0.0, damping=(2000.0, 1000.0), load=0.0, mass=55.0,
+                         spring=3e4)
+    found = answered([recording], config, Asked())
+    assert found.verdict == "consistent" and "viscous damping falls by" in found.message
+    assert found.drift.value == pytest.approx(-1000.0, abs=3.0 * found.drift.stddev)
+    assert drifts(found) and not agrees_closely(replace(found, verdict="mismatch"))
+    steady = stranger(3, dry=0.0, rise=0.0, damping=(1500.0, 1500.0), load=0.0, mass=55.0,
+                      spring=3e4)
+    assert answered([steady], config, Asked()).drift is None
+
+
+def test_pressures_that_come_late_are_beside_the_mass(tmp_path):
+    """Late by 20 ms beside a spring: damping reads T k less, and what is surely known is wider."""
+    config = with_effects(stranger_settings(tmp_path), spring_load={"k": 3e4, "x_0": 0.2})
+    recording = stranger(3, dry=0.0, rise=0.0, damping=(1500.0, 1500.0), load=0.0, mass=55.0,
+                         spring=3e4, late=0.02)
+    found = answered([recording], config, Asked())
+    b = found.after["B"]
+    assert abs(b.value - 1500.0) < 3.0 * b.stddev, (b, found.message)
 
 
 def test_a_balance_that_leaves_three_per_cent_is_no_close_agreement():
