@@ -114,8 +114,8 @@ def test_air_is_that_of_the_mixture():
     assert moved(0.05, 1013250.0, 1.0) == pytest.approx(0.005)
 
 
-def test_friction_is_that_of_the_worse_direction_at_breakaway():
-    assert dry_friction({"stribeck_friction.F_c": 30.0, "stribeck_friction.F_d": 12.0}, 0) == 42
+def test_friction_is_that_of_the_worse_direction_at_speed():
+    assert dry_friction({"stribeck_friction.F_c": 30.0, "stribeck_friction.F_d": 12.0}, 0) == 30
     assert dry_friction({"asymmetric_friction.F_c": 30.0, "asymmetric_friction.dF": -5.0}, 0) == 35
     assert dry_friction({"pressure_friction.mu": 1e-5}, 4e6) == pytest.approx(40.0)
 

@@ -205,7 +205,7 @@ LAWS = {
     "free_air": "1/βe = 1/β_oil + (α/(n p)) (p_atm/p)^(1/n): polytropic air beside the oil; all "
     "softness beyond the air-free modulus counts as air, also a hose; dissolved air is not seen",
     "damping": "B goes as the viscosity (laminar shear); the part that is seal friction does not",
-    "friction": "largest dry friction (breakaway, the worse direction) of the named effects; "
+    "friction": "dry friction at speed, in the worse direction, of the named effects; "
     "viscous friction is in B",
     "friction_share": "the same over the rated pressure times the smaller piston area",
     "pump_efficiency": "flow into the load over D_p ω of the config at rated speed and pressure; "

@@ -103,13 +103,14 @@ def volumetric_efficiency(found: Mapping[str, float], displacement: float, speed
 
 
 def dry_friction(found: Mapping[str, float], pressures: float) -> float:
-    """Return the dry friction at its largest (breakaway, the worse direction), N.
+    """Return the dry friction at speed, in the worse direction, N.
 
-    ``found`` are parameters of :data:`DRY`, ``pressures`` is p1 + p2, Pa.
+    What every name of it has: of a seal whose rise near standstill is named in one recording and
+    not in the next, a sum with that rise would jump by it.  ``found`` are parameters of
+    :data:`DRY`, ``pressures`` is p1 + p2, Pa.
     """
     force = sum(found.get(f"{effect}.F_c", 0.0) for effect in DRY)
-    force += found.get("stribeck_friction.F_d", 0.0) + abs(found.get("asymmetric_friction.dF",
-                                                                     0.0))
+    force += abs(found.get("asymmetric_friction.dF", 0.0))
     return force + found.get("pressure_friction.mu", 0.0) * pressures
 
 
