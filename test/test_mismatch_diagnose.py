@@ -26,6 +26,7 @@ from eha_monitor.mismatch.name.starts import starts_of, with_effect
 from eha_monitor.mismatch.policy import POLICY
 from eha_monitor.mismatch.show.held_out import unseen_gates
 from eha_monitor.mismatch.show.model import rig_findings
+from eha_monitor.physics.effects import CATALOGUE
 
 DRY = {"coulomb_friction", "presliding_friction", "stribeck_friction", "pressure_friction",
        "asymmetric_friction"}
@@ -424,3 +425,14 @@ def test_an_effect_of_the_config_that_has_grown_is_named_with_both_sizes():
     assert lag.parameters["tau"].value == pytest.approx(4e-3, rel=0.02)
     assert "200 µs" in found.message and found.rig_data == ()
     assert found.config_effects["drive_lag"]["tau"] == pytest.approx(4e-3, rel=0.02)
+
+
+def test_friction_of_the_config_whose_law_is_another_gives_way():
+    """Held beside what is named it was "213 N at speed rises by 728 N", where 457 N are bent."""
+    sharp = {p.name: p.default for p in CATALOGUE["coulomb_friction"].parameters}
+    found = configured("presliding_friction", coulomb_friction=sharp | {"F_c": 30.0})
+    (friction,) = found.effects
+    assert friction.name == "presliding_friction" and "in place of the config's" in found.message
+    assert friction.parameters["F_c"].value == pytest.approx(40.0, rel=0.03)
+    assert friction.parameters["z_0"].value == pytest.approx(50e-6, rel=0.05)
+    assert found.config_effects.keys() == {"presliding_friction"}

@@ -6,7 +6,7 @@ import pytest
 from machine_tools import machine_of
 from rig_tools import settings, simulated
 
-from eha_monitor.balances.answer import answered
+from eha_monitor.balances.answer import Asked, answered
 from eha_monitor.balances.candidates import Scale, candidates_of
 from eha_monitor.balances.changed import against
 from eha_monitor.balances.measured import course_of
@@ -41,9 +41,9 @@ def test_a_load_beside_a_spring_is_that_at_zero_in_a_comparison_too():
     assert load.now.value == pytest.approx(200.0, abs=2.0)
 
 
-def test_a_load_that_differs_over_recordings_is_in_the_config_as_in_the_first():
+def test_a_load_that_differs_over_recordings_is_in_the_config_as_in_the_newest():
     """The monitor said that it adopts 801 N, and put the mean of two bags in force, 449 N."""
-    found = answered([spring(load) for load in (200.0, 60.0)], settings())
+    found = answered([spring(load) for load in (200.0, 60.0)], settings(), Asked(newest=True))
     (load,) = [effect for effect in found.effects if effect.name == "constant_load"]
     assert "over the recordings" in load.statement
     assert found.config_effects["constant_load"]["F_0"] == pytest.approx(200.0, abs=2.0)

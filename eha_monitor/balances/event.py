@@ -63,7 +63,7 @@ def events_in(recording: Recording, settings: Settings, policy: Policy = POLICY)
     for balance in ("force", "flow"):
         plain = tuple(one for one in candidates_of(balance, Scale.of([course]), rig)
                       if one.name in PLAIN)
-        if balance == "flow" and course.omega is None:
+        if balance == "flow" and not course.has_flow:
             continue
         (table,) = tables_of([course], rig, balance, plain, policy)
         events += _Parts(table, course).events(policy) if table.n else []

@@ -24,14 +24,15 @@ from eha_monitor.mismatch.beside_balances import (
 from eha_monitor.mismatch.data.experiment import Experiment, by_balances, experiment_of, mode_of
 from eha_monitor.mismatch.data.inputs import FORCED
 from eha_monitor.mismatch.diagnosis import Diagnosis, Location, Window
-from eha_monitor.mismatch.holds import as_it_reads, searched
+from eha_monitor.mismatch.holds import Searched, as_it_reads, searched
 from eha_monitor.mismatch.likelihood.fit import Fit
 from eha_monitor.mismatch.locate.terms import BALANCES
 from eha_monitor.mismatch.name.before import FirstView, at_its_angle, informative
 from eha_monitor.mismatch.name.naming import Naming, follows, name_effects, on_all_of
 from eha_monitor.mismatch.name.nominal import lack_of
-from eha_monitor.mismatch.name.select import PLAINLY, Manner, Search, begun
+from eha_monitor.mismatch.name.select import GAINED, PLAINLY, Manner, Search, begun
 from eha_monitor.mismatch.show.changed import changed_between
+from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.progress import Report, silent
 from eha_monitor.quantity import quantity
 from eha_monitor.recordings.position import trusted
@@ -126,14 +127,22 @@ def _diagnosed(recordings: list[Recording], settings: Settings, held_out: Record
     # What least squares say stands where no set of laws brings a filter near the recording.
     stands = hypothesis is None and first is not None and (far or not force_is_closed(first))
     held, decision = resolved(recordings, settings)
-    end = searched(
-        lambda under: as_it_reads(at_its_angle(experiment_of(
-            recordings, under, held_out is None, without))),
-        held, decision, stands,
-        lambda experiment, may_end, elsewhere, fits: begun_in(experiment, say, Manner(
-            view_of(first), may_end, first is not None and agrees_closely(first), elsewhere),
-            (*fits, *(known or ()))),
-        lambda search: name_effects(search, lambda text, share: say(text, 0.85 * share)))
+
+    def search(without_own: tuple[str, ...] = ()) -> Searched:
+        return searched(
+            lambda under: bare_experiment(recordings, under, held_out is None, without,
+                                          without_own), held, decision, stands,
+            lambda experiment, may_end, elsewhere, fits: begun_in(experiment, say, Manner(
+                view_of(first), may_end, first is not None and agrees_closely(first), elsewhere),
+                (*fits, *(known or ()))),
+            lambda search: name_effects(search, lambda text, share: say(text, 0.85 * share)))
+
+    end = search()
+    dry = tuple(name for name in settings.effects
+                if name in CATALOGUE and CATALOGUE[name].family == "dry")
+    if dry and end.named and not (
+            verdict_of(end.named[1]) == "consistent" and follows(end.named[1])):
+        end = clearer(end, search(dry))
     experiment, decision, named = end.experiment, end.decision, end.named
     if not end.followed:
         if first is None or hypothesis is not None:
@@ -157,6 +166,34 @@ def _diagnosed(recordings: list[Recording], settings: Settings, held_out: Record
         policy=experiment.policy.to_dict(), channels=decision.findings if decided else (),
         command_hold=(experiment.settings if decided else settings).command_hold,
         wall_s=time.perf_counter() - started), naming, True)
+
+
+def bare_experiment(recordings: list[Recording], under: Settings, held_out: bool,
+                    without: tuple[str, ...], without_own: tuple[str, ...]) -> Experiment:
+    """Return the experiment in which effects of the config are sought as if it had none.
+
+    Parameters
+    ----------
+    held_out : the last fifth of every 5 s is kept aside; ``without`` what is not considered.
+    without_own : effects of the config that are none of it.
+    """
+    bare = under.model_copy(update={"effects": {
+        name: values for name, values in under.effects.items() if name not in without_own}})
+    found = as_it_reads(at_its_angle(experiment_of(recordings, bare, held_out, without)))
+    return replace(found, settings=found.settings.model_copy(update={
+        "effects": {name: under.effects[name] for name in without_own} | found.settings.effects}))
+
+
+def clearer(end: Searched, bare: Searched) -> Searched:
+    """Return the search without the config's dry friction where it leaves clearly less.
+
+    A friction is one law, and that of the config has the size of a data sheet and no form: held
+    beside what is named it bends that, the mass and the delays.
+    """
+    if not bare.followed or bare.named is None or verdict_of(bare.named[1]) == "unexplained":
+        return end
+    before, after = (lack_of(named[0], named[1].after) for named in (end.named, bare.named))
+    return bare if after < (1.0 - GAINED) * before else end
 
 
 def by_first(first: Diagnosis, started: float) -> Diagnosis:

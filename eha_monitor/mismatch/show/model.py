@@ -27,7 +27,7 @@ from eha_monitor.mismatch.name.nominal import with_rig
 from eha_monitor.physics import signals as s
 from eha_monitor.physics.contributions import N_EFFECTS, circuit_of
 from eha_monitor.physics.effects import CATALOGUE, LATE, NAMES
-from eha_monitor.physics.parameters import effect_values
+from eha_monitor.physics.parameters import effect_values, theta_of
 from eha_monitor.quantity import quantity, share
 
 BLOCK = 0.5  # s
@@ -177,8 +177,9 @@ def prior_covariance(experiment: Experiment, free: Sequence[Free]) -> np.ndarray
 
 def replaced(experiment: Experiment, fit: Fit) -> list[str]:
     """Return the effects of the config whose place others have taken in a fit."""
+    _, active = theta_of(experiment.settings.rig, experiment.settings.effects)
     return [name for name in experiment.settings.effects if name in NAMES
-            and experiment.active[NAMES.index(name)] and not fit.active[NAMES.index(name)]]
+            and active[NAMES.index(name)] and not fit.active[NAMES.index(name)]]
 
 
 def config_effects(experiment: Experiment, fit: Fit, names: tuple[str, ...],
