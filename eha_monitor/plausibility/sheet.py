@@ -91,10 +91,11 @@ def load_against(views: Sequence[Baseline], settings: Settings,
         return []
     load, given = first.force["F_0"], effects.get("constant_load", {}).get("F_0", 0.0)
     more = load.value - given
-    beyond = APART * hypot(load.stddev, first.leaning)
+    known = hypot(load.stddev, rig.tolerance.effects * given)  # a weight has the mass's error
+    beyond = APART * hypot(known, first.leaning)
     leans = abs(more) <= beyond
     if not load.determined or abs(more) <= (
-            beyond if left is None else max(APART * load.stddev, 0.5 * left)):
+            beyond if left is None else max(APART * known, 0.5 * left)):
         return []
     had = quantity(given, load.unit, 4) if given else "none"
     said = (f"constant load {with_uncertainty(load.value, load.stddev, load.unit)}, where the "
