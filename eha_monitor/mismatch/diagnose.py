@@ -140,8 +140,7 @@ def _diagnosed(recordings: list[Recording], settings: Settings, held_out: Record
     end = search()
     dry = tuple(name for name in settings.effects
                 if name in CATALOGUE and CATALOGUE[name].family == "dry")
-    if dry and end.named and not (
-            verdict_of(end.named[1]) == "consistent" and follows(end.named[1])):
+    if dry and end.named and lacks_more(*end.named):
         end = clearer(end, search(dry))
     experiment, decision, named = end.experiment, end.decision, end.named
     if not end.followed:
@@ -182,6 +181,13 @@ def bare_experiment(recordings: list[Recording], under: Settings, held_out: bool
     found = as_it_reads(at_its_angle(experiment_of(recordings, bare, held_out, without)))
     return replace(found, settings=found.settings.model_copy(update={
         "effects": {name: under.effects[name] for name in without_own} | found.settings.effects}))
+
+
+def lacks_more(windows: Experiment, naming: Naming) -> bool:
+    """Tell whether a search leaves more than the form error of the laws that it names."""
+    before, after = (lack_of(windows, fit) for fit in (naming.before, naming.after))
+    return not (verdict_of(naming) == "consistent" and follows(naming)) and (
+        after > windows.policy.law * max(before, after))
 
 
 def clearer(end: Searched, bare: Searched) -> Searched:
