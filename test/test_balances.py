@@ -52,6 +52,7 @@ from eha_monitor.recordings import columns
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings import settings_from_tree
 from eha_monitor.settings.hypothesis import hypothesis_of
+from eha_monitor.settings.rig import Rig
 
 CALM = {"rise": 0.0, "damping": (1500.0, 1500.0)}
 
@@ -94,9 +95,10 @@ def test_a_number_that_is_moved_within_its_tolerance_is_in_the_answer():
     found = Value(1.6e-11, 4e-13, "m³/(s·Pa)")
     statement = beside_config("leakage", 1e-12, found)
     assert statement.endswith("(C_T, twice the flow over the pressure difference)")
-    said = _agreeing_words([], [RigFinding("leakage", 1e-12, found, np.nan, statement)], POLICY)
+    moved = RigFinding("leakage", 1e-12, found, np.nan, statement)
+    said = _agreeing_words([], Rig(), [moved], POLICY)
     assert "if leakage is 960 ± 24 ml/(min·MPa), where it has 60 ml/(min·MPa)" in said
-    assert "if" not in _agreeing_words([], [], POLICY)
+    assert "if" not in _agreeing_words([], Rig(), [], POLICY)
 
 
 def test_what_is_asked_of_terms_by_name_is_asked_of_terms_that_there_are(settings):

@@ -430,7 +430,11 @@ def test_an_effect_of_the_config_that_has_grown_is_named_with_both_sizes():
 def test_friction_of_the_config_whose_law_is_another_gives_way():
     """Held beside what is named it was "213 N at speed rises by 728 N", where 457 N are bent."""
     sharp = {p.name: p.default for p in CATALOGUE["coulomb_friction"].parameters}
-    found = configured("presliding_friction", coulomb_friction=sharp | {"F_c": 30.0})
+    recording, settings = recorded(case_of("presliding_friction"))
+    few = {name: recording.channels[name] for name in ("x", "p1", "p2")}
+    found = sound(diagnose(
+        [replace(recording, channels=few)], settings.model_copy(
+            update={"effects": {"coulomb_friction": sharp | {"F_c": 30.0}}})))
     (friction,) = found.effects
     assert friction.name == "presliding_friction" and "in place of the config's" in found.message
     assert friction.parameters["F_c"].value == pytest.approx(40.0, rel=0.03)

@@ -59,8 +59,9 @@ def thresholds(bags: tuple[Path, ...], config: Path | None, rate: float, least: 
         of = "" if len(unfit) == len(bags) else f" ({', '.join(map(str, unfit))})"
         told.append(f"the model does not fit {len(unfit)} of {len(bags)} recordings{of}: what is "
                     "in doubt there is by least squares on the balances, as the alarms judge it")
-        # What the machine does from day to day no model narrows.
-        if remedy and not all(one.between > one.within for one in proposals):
+        # What a machine does from day to day no model narrows.
+        daily = len(unfit) == len(bags) and all(one.between > one.within for one in proposals)
+        if remedy and not daily:
             told += ["the diagnosed model brings narrower limits:",
                      *(f"  {command}" for command in remedy)]
         if diagnosed and any(len(found) < len(bags) for found in healthy.values()):
