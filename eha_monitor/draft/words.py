@@ -24,7 +24,7 @@ _SHORT = {
     "pressure": ("p", "pr", "pg", "pa", "pb", "pk"),
     "temperature": (), "turning": ("n", "w", "rps"),
     "velocity": ("v", "vel", "xdot", "dot", "dx", "vx"),
-    "force": ("f", "tq", "fz", "fx", "load", "par"),
+    "force": ("f", "tq", "fz", "fx", "load", "cell", "par"),
     "position": ("x", "s", "pos", "y", "q", "qm", "xact", "xist", "xmeas"),
 }
 DEMAND_LONG = ("soll", "setpoint", "command", "demand", "desired", "target", "reference",

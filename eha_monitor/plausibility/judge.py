@@ -4,7 +4,8 @@ Every set is scored alike: what its reading costs (:mod:`relations`) less what i
 that somebody made these mistakes (:mod:`mistakes`).  No mistake at all is one of the sets.
 """
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from math import log
 from typing import Any
 
@@ -101,15 +102,20 @@ def units_in(settings: Settings) -> dict[str, float]:
 
 
 def explained(reading: Reading, mistakes: tuple[Mistake, ...],
-              expected: tuple[str, ...] = ()) -> Explanation:
+              given: Sequence[Check] = ()) -> Explanation:
     """Return what a set of mistakes makes of a reading.
 
-    ``expected`` are relations that the reading as given has: one that is lost explains nothing.
+    ``given`` are the relations of the reading as it came: one that is lost, or says nothing any
+    more, explains nothing.
     """
     for mistake in mistakes:
         reading = mistake.applied(reading)
     made = tuple(checks(reading))
-    lost = len(set(expected) - {check.name for check in made}) * unexplained(0.0)
+    expected = {check.name for check in given if check.fit is not None}
+    lost = len(expected - {check.name for check in made}) * unexplained(0.0)
+    said = {check.name: check.penalty for check in given if not check.silent}
+    made = tuple(replace(check, penalty=said[check.name])
+                 if check.silent and check.name in said else check for check in made)
     return Explanation(mistakes, prior_of(mistakes) - lost - sum(
         check.penalty + (check.fit or 0.0) for check in made), made)
 
@@ -126,7 +132,6 @@ def explain(reading: Reading) -> tuple[Explanation, list[Explanation]]:
     given = explained(reading, ())
     if given.broken < BROKEN and given.loose < LOOSE:
         return given, []
-    expected = tuple(check.name for check in given.checks if check.fit is not None)
     catalogue = mistakes_for(reading, given.checks)
     scored = front = [given]
     for number in range(MOST):
@@ -139,7 +144,8 @@ def explain(reading: Reading) -> tuple[Explanation, list[Explanation]]:
                 if not taken & mistake.touches:
                     key = frozenset(map(id, (*one.mistakes, mistake)))
                     if key not in further:
-                        further[key] = explained(reading, (*one.mistakes, mistake), expected)
+                        further[key] = explained(
+                            reading, (*one.mistakes, mistake), given.checks)
         if not further:
             break
         if not number:  # what mends nothing alone mends nothing beside another

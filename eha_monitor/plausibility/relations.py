@@ -180,6 +180,7 @@ class Check:
     # log units for what it leaves unexplained; it distinguishes readings, and says little by
     # itself; None where another check of the same relation has it
     fit: float | None = None
+    silent: bool = False  # what it shows is something else's: it says nothing of the reading
 
     def phrase(self, by_sign: bool) -> Phrase:
         """Return the words on the sign, or on the size."""
@@ -243,13 +244,14 @@ def force_balance(reading: Reading) -> Iterator[Check]:
         # Friction and oil that the motion does not explain draw a slope of their own: one that is
         # too large, and explains less than they leave, is no mass; nor is one that is hundreds of
         # times too large, and backwards, in a stroke that hardly accelerates.
-        theirs = (inertia.slope > mass and inertia.rho**2 < 0.5) or inertia.slope < -NOTHING * mass
+        silent = inertia.slope < -NOTHING * mass
+        theirs = (inertia.slope > mass and inertia.rho**2 < 0.5) or silent
         penalty = 0.0 if theirs else cost(inertia.slope / mass, inertia.rho, SPREAD["mass"])
         yield Check("inertia", penalty, Phrase(
             f"{name} over acceleration is a mass of {figure(inertia.slope)} {unit} where the "
             f"config says {figure(mass)}", f"{figure(inertia.slope)} {unit}"), Phrase(
             f"{name} and acceleration have correlation {inertia.rho:.2f}",
-            f"{inertia.rho:+.2f}"), inertia.rho < 0, inertia.slope / mass)
+            f"{inertia.rho:+.2f}"), inertia.rho < 0, inertia.slope / mass, silent=silent)
     if friction := ratio(reading, force, v, a, x):
         nominal = reading.rig["viscous_damping"] or friction.slope
         guessed = "damping" if "viscous_damping" in reading.said else "guessed"
