@@ -262,10 +262,9 @@ class _Choice:
         What a doubt of the left side makes as well is no name, and corrects the form: without it
         what it takes up is an error of the others.
         """
-        form: set[str] = set()
         while True:
             values, sure = self.parameters(kept)
-            out, doubts = None, moved_by_doubts(self.table, kept)
+            out, form, doubts = None, set(), moved_by_doubts(self.table, kept)
             for name, value, stddev, doubt in zip(kept, values, sure, doubts, strict=True):
                 one = self.of[name]
                 if one.always:
@@ -280,11 +279,8 @@ class _Choice:
                     out = Refused("member", one.effect, f"{one.words} of {shown} is not "
                                   f"{self.policy.varied:g} deviations from absent, and the model "
                                   "without it is no worse")
-                elif not self.policy.sure(value, doubt) and name not in form:
-                    form.add(name)
-                    refused.append(Refused(
-                        "member", one.effect, f"{one.words} of {shown} may be channels that "
-                        "are half a sample late, or areas within their tolerance"))
+                elif not self.policy.sure(value, doubt):
+                    form.add(name)  # channels half a sample late, areas within their tolerance
                 if out is not None:
                     refused.append(out)
                     kept = rest
