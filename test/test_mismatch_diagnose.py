@@ -440,3 +440,6 @@ def test_friction_of_the_config_whose_law_is_another_gives_way():
     assert friction.parameters["F_c"].value == pytest.approx(40.0, rel=0.03)
     assert friction.parameters["z_0"].value == pytest.approx(50e-6, rel=0.05)
     assert found.config_effects.keys() == {"presliding_friction"}
+    # Beside the config's 30 N: not all of the friction was missing in B.
+    assert found.before["B"].value < 600.0 + 0.6 * (
+        diagnose([replace(recording, channels=few)], settings).before["B"].value - 600.0)

@@ -25,7 +25,7 @@ from eha_monitor.mismatch.data.experiment import Experiment, by_balances, experi
 from eha_monitor.mismatch.data.inputs import FORCED
 from eha_monitor.mismatch.diagnosis import Diagnosis, Location, Window
 from eha_monitor.mismatch.holds import Searched, as_it_reads, searched
-from eha_monitor.mismatch.likelihood.fit import Fit
+from eha_monitor.mismatch.likelihood.fit import Fit, with_unknowns
 from eha_monitor.mismatch.locate.terms import BALANCES
 from eha_monitor.mismatch.name.before import FirstView, at_its_angle, informative
 from eha_monitor.mismatch.name.naming import Naming, follows, name_effects, on_all_of
@@ -194,12 +194,17 @@ def clearer(end: Searched, bare: Searched) -> Searched:
     """Return the search without the config's dry friction where it leaves clearly less.
 
     A friction is one law, and that of the config has the size of a data sheet and no form: held
-    beside what is named it bends that, the mass and the delays.
+    beside what is named it bends that, the mass and the delays.  What is left out is told beside
+    the config's own model all the same.
     """
     if not bare.followed or bare.named is None or verdict_of(bare.named[1]) == "unexplained":
         return end
     before, after = (lack_of(named[0], named[1].after) for named in (end.named, bare.named))
-    return bare if after < (1.0 - GAINED) * before else end
+    if after >= (1.0 - GAINED) * before:
+        return end
+    windows, naming, nominal = *bare.named, end.named[1].before
+    return replace(bare, named=(windows, replace(naming, before=replace(
+        with_unknowns(naming.experiment, nominal), covariance=nominal.covariance))))
 
 
 def by_first(first: Diagnosis, started: float) -> Diagnosis:
