@@ -223,7 +223,7 @@ class _Choice:
                     steady.remove(name)
                 elif ground not in steady:
                     steady.insert(0, ground)
-            for name in steady[:1] if of[members[0]].sole else steady:
+            for name in (steady[:1] if of[members[0]].exclusive == "kind" else steady):
                 if of[name].effect not in {of[other].effect for other in kept}:
                     kept.append(name)
         rivals = {}
@@ -348,7 +348,7 @@ def between_forms(of: Mapping[str, Candidate], allowed: Sequence[str], kept: Seq
     most = least * np.exp(policy.alone)
     moved = [np.zeros(len(kept))]
     for i, name in enumerate(kept):
-        others = [other for other in allowed if of[name].variant
+        others = [other for other in allowed if of[name].exclusive
                   and other not in kept and of[other].kind == of[name].kind]
         for other in others:
             more = bool(of[other].upon) and not of[name].upon
@@ -458,13 +458,10 @@ def chosen_on(table: Table, half: tuple[np.ndarray, np.ndarray], always: Sequenc
     of: dict[str, Candidate] = {one.name: one for one in table.candidates}
     error = _error(table, half, names)
     while len(names) < MOST_TERMS:
-        taken, kinds = ({getattr(of[name], which) for name in names}
-                        for which in ("effect", "kind"))
         best, least = None, error * np.exp(-policy.alone)
         for name in allowed:
-            if name in names or (of[name].variant and of[name].effect in taken) or (
-                    of[name].sole and of[name].kind in kinds) or (
-                    name not in founded([*names, name], of)):
+            if name in names or name not in founded([*names, name], of) or any(
+                    of[name].excludes(of[other]) for other in names):
                 continue
             found = _error(table, half, [*names, name])
             if found < least:

@@ -18,7 +18,7 @@ from eha_monitor.balances.measured import course_of, known_of
 from eha_monitor.balances.table import areas_apart, flow_columns
 from eha_monitor.balances.together import of_one_machine
 from eha_monitor.errors import InputError
-from eha_monitor.physics.effects import CATALOGUE
+from eha_monitor.physics.effects import DRY_LAWS
 from eha_monitor.physics.parameters import theta_of
 from eha_monitor.quantity import share, with_uncertainty
 from eha_monitor.recordings.recording import Recording
@@ -162,7 +162,7 @@ def beside(course: Course, settings: Settings) -> np.ndarray:
     A spring that the config knows, or backlash; its dry friction and its load are measured anew.
     """
     kept = {name: values for name, values in settings.effects.items()
-            if name not in VIEWED and getattr(CATALOGUE.get(name), "family", "") != "dry"}
+            if name not in VIEWED and name not in DRY_LAWS}
     rig = settings.rig
     return known_of(course, rig, *theta_of(rig, kept))["force"] - rig.mass * course.a
 

@@ -122,7 +122,7 @@ class Beside:
         How a piston goes through a play, for example, is no number of its own: half of what its
         two columns differ by.
         """
-        alike = [name for name, c in self.of.items() if c.effect == one.effect and c.variant
+        alike = [name for name, c in self.of.items() if c.effect == one.effect and c.exclusive
                  and c.shape == one.shape and name not in self.held]
         if len(alike) < 2 or one.name not in alike:
             return 0.0

@@ -79,8 +79,8 @@ class Candidate:
     setting : its parameter belongs to the setting of each recording, not to the machine.
     of_oil : it goes with the viscosity of the oil, which no recording shares with another.
     family : names of one family stand for one another: recordings rarely separate them.
-    variant : one of several shapes of its effect; only one of them enters.
-    sole : of its family only one enters, as they are nearly one column.
+    exclusive : of its ``effect`` (shapes of one term) or ``kind`` (nearly one column) only one
+        enters; "" any.
     lasting : it is the same in all recordings of a machine, and no change of it.
     limit : a larger parameter is no physics of this rig, but the error of another term.
     between : relative spread between recordings where it is not the policy's.
@@ -107,8 +107,7 @@ class Candidate:
     setting: bool = False
     of_oil: bool = False
     family: str = ""
-    variant: bool = False
-    sole: bool = False
+    exclusive: str = ""
     lasting: bool = False
     needs: str = ""
     limit: float = np.inf
@@ -132,6 +131,11 @@ class Candidate:
     def kind(self) -> str:
         """Its family, or else its effect."""
         return self.family or self.effect
+
+    def excludes(self, other: "Candidate") -> bool:
+        """Whether it is another shape of what the other stands for, see ``exclusive``."""
+        return bool(self.exclusive) and (
+            getattr(self, self.exclusive) == getattr(other, self.exclusive))
 
     @property
     def quantity(self) -> tuple[str, str]:
@@ -305,20 +309,20 @@ def force_candidates(scale: Scale, rig: Rig) -> tuple[Candidate, ...]:
                 np.arange(len(c)) - 0.5 * len(c)),
             setting=True, symbol="d_1", shape=(("d_2", 0.0),), odd=False),
         one("F_c", "coulomb_friction", "N", "dry friction", 1, lambda c, r: c.direction,
-            family="dry", variant=True, symbol="F_c", shape=(("v_e", standing),)),
+            family="dry", exclusive="effect", symbol="F_c", shape=(("v_e", standing),)),
         one("mu", "pressure_friction", "m²", "dry friction per sum of pressures", 1,
             lambda c, r: None if c.p1 is None else sum_of_pressures(c) * c.direction,
-            family="dry", variant=True, needs="load", symbol="mu",
+            family="dry", exclusive="effect", needs="load", symbol="mu",
             shape=(("v_e", standing),)),
         one("F_v", "valve_direction", "N", "force in the direction of valve or pump", 0,
             lambda c, r: c.commanded if valves(c, r) else None),
         one("dM", "added_mass", "kg", "moving mass beyond the config's", 0, lambda c, r: c.a,
-            family="inertia", variant=True, sole=True, limit=MASS * rig.mass, symbol="dM",
+            family="inertia", exclusive="kind", limit=MASS * rig.mass, symbol="dM",
             power=2.0, configured=rig.mass),
         # Pressures that come late by T: less mass by T B, and with a spring less damping by T k.
         one("T_p", "pressure_delay", "s", "delay of the pressures", 1,
             lambda c, r: None if c.p1 is None else -slope(c.force, c.dt), family="inertia",
-            variant=True, sole=True, lasting=True, limit=LATE, symbol="T", power=2.0),
+            exclusive="kind", lasting=True, limit=LATE, symbol="T", power=2.0),
         one("a_1", "quadratic_friction", "N·s²/m²", "quadratic damping", 1,
             lambda c, r: c.v * np.abs(c.v), family="viscous", symbol="a_1", power=2.0),
         one("dB", "asymmetric_friction", "N·s/m", "damping more forwards than the mean", 0,
@@ -330,32 +334,33 @@ def force_candidates(scale: Scale, rig: Rig) -> tuple[Candidate, ...]:
     for i, share in enumerate(BENT, start=1):
         found.append(one(
             f"F_z{i}", "presliding_friction", "N", f"dry friction, bent over {far(share)}", 1,
-            lambda c, r, d=share * scale.travel: stop(c.x, d), family="dry", variant=True,
+            lambda c, r, d=share * scale.travel: stop(c.x, d), family="dry", exclusive="effect",
             symbol="F_c", shape=(("z_0", share * scale.travel), ("v_e", 1e-3 * scale.speed))))
     for i, share in enumerate(BENT, start=1):
         found.append(one(
             f"mu_z{i}", "pressure_friction", "m²", "dry friction per sum of pressures, bent over "
             f"{far(share)}", 1, lambda c, r, d=share * scale.travel: None if c.p1 is None else
-            sum_of_pressures(c) * stop(c.x, d), family="dry", variant=True, needs="pressure",
+            sum_of_pressures(c) * stop(c.x, d), family="dry", exclusive="effect", needs="pressure",
             symbol="mu", shape=(("z_0", share * scale.travel), ("v_e", 1e-3 * scale.speed))))
     for i, share in enumerate(SLACK, start=1):
         found.append(one(
             f"F_l{i}", "one_sided_load", "N", f"load while extending, met {far(share)} after a "
             "turn", 0, lambda c, r, d=share * scale.travel: None if c.omega is None else
             taken_up(c.x, d, d / 7.0),
-            setting=scale.turns, variant=True, odd=False))
+            setting=scale.turns, exclusive="effect", odd=False))
     for i, share in enumerate(TURNS, start=1):
         found.append(one(
             f"F_t{i}", "coulomb_friction", "N", "dry friction, turned round within "
             f"{1e3 * share * scale.slowest:.2g} mm/s", 1,
-            lambda c, r, d=share * scale.slowest: np.tanh(c.v / d), family="dry", variant=True,
-            symbol="F_c", shape=(("v_e", share * scale.slowest),), bears=False))
+            lambda c, r, d=share * scale.slowest: np.tanh(c.v / d), family="dry",
+            exclusive="effect", symbol="F_c", shape=(("v_e", share * scale.slowest),),
+            bears=False))
     for i, share in enumerate(SLOW, start=1):
         found.append(one(
             f"F_s{i}", "stribeck_friction", "N", "Stribeck rise below "
             f"{1e3 * share * scale.speed:.2g} mm/s", 1,
             lambda c, r, d=share * scale.speed: c.direction * np.exp(-np.abs(c.v) / d),
-            family="dry", variant=True, upon="dry", symbol="F_d",
+            family="dry", exclusive="effect", upon="dry", symbol="F_d",
             shape=(("v_s", share * scale.speed), ("delta", 1.0), ("v_e", standing))))
     for i in (1, 2, 3):
         found.append(one(
@@ -367,7 +372,7 @@ def force_candidates(scale: Scale, rig: Rig) -> tuple[Candidate, ...]:
             f"k_c{i}", contact.EFFECT, "N/m", f"spring met {'above' if side > 0.0 else 'below'} "
             f"x = {quantity(place, 'm', 3)}", 1,
             lambda c, r, at=place, side=side: contact.pressed(c.x, at, side), family="position",
-            variant=True, symbol="k", shape=(("x_c", place), ("side", side)), odd=False))
+            exclusive="effect", symbol="k", shape=(("x_c", place), ("side", side)), odd=False))
     return tuple(found)
 
 
@@ -533,14 +538,14 @@ def flow_candidates(scale: Scale, rig: Rig) -> tuple[Candidate, ...]:
             crossing(lambda dp: dp / (dp**2 + LAMINAR**2) ** 0.25), family="gap", symbol="c",
             shape=(("dp_0", LAMINAR),)),
         one("L_1", "external_leakage", "m³/(s·Pa)", "leakage to ambient", 1,
-            leaks_to_case, family="gap", symbol="L_1", variant=True),
+            leaks_to_case, family="gap", symbol="L_1", exclusive="effect"),
         one("L_1a", "external_leakage", "m³/(s·Pa)", "leakage of chamber 1 to ambient", 1,
             lambda c, r: c.of_filled(-_above_ambient(c.p1, c, r), np.zeros(len(c))),
-            family="gap", symbol="L_1", shape=(("L_2", 0.0),), variant=True, odd=False),
+            family="gap", symbol="L_1", shape=(("L_2", 0.0),), exclusive="effect", odd=False),
         one("L_2a", "external_leakage", "m³/(s·Pa)", "leakage of chamber 2 to ambient", 1,
             lambda c, r: c.of_filled(np.zeros(len(c)), _above_ambient(c.p2, c, r)
                                      * r.area_1 / r.area_2),
-            family="gap", symbol="L_2", shape=(("L_1", 0.0),), variant=True, odd=False),
+            family="gap", symbol="L_2", shape=(("L_1", 0.0),), exclusive="effect", odd=False),
         one("k_l", "pump_volumetric_loss", "1/Pa", "flow of the pump lost per pressure", 1,
             lambda c, r: None if not pump else (
                 -pump * c.of_pump(np.abs(c.omega)) * _pump_difference(c, r)),
@@ -558,7 +563,7 @@ def flow_candidates(scale: Scale, rig: Rig) -> tuple[Candidate, ...]:
         # presses the oil then: without its compliance that is a play.
         *(one(name, "backlash", "m", "play between piston and position sensor", 1,
               lambda c, r, sharp=sharp: swallowed(c, r, sharp), symbol="b",
-              shape=(("in_loop", 1.0),), variant=True, upon="compliance")
+              shape=(("in_loop", 1.0),), exclusive="effect", upon="compliance")
           for name, sharp in (("b", True), ("b_2", False))),
     )
 
@@ -570,10 +575,10 @@ def drive_candidates(scale: Scale, rig: Rig) -> tuple[Candidate, ...]:
 
     found = [
         one("tau", "drive_lag", "s", "time constant of the drive", 1,
-            lambda c, r: -slope(c.omega, c.dt), variant=True, symbol="tau", power=2.0,
+            lambda c, r: -slope(c.omega, c.dt), exclusive="effect", symbol="tau", power=2.0,
             limit=1.0, twins=("command_delay",)),
         one("tau_d", "drive_lag", "s", "time constant of the drive", 1,
-            lambda c, r: -slope(c.wanted, c.dt), variant=True, symbol="tau", power=2.0,
+            lambda c, r: -slope(c.wanted, c.dt), exclusive="effect", symbol="tau", power=2.0,
             limit=1.0, twins=("command_delay",)),
         # Where the position loop's gain is the config's, its tolerance is free in every model.
         # A setpoint that comes late by T takes K T x_d' from it, a position K T x': where the
@@ -594,7 +599,7 @@ def drive_candidates(scale: Scale, rig: Rig) -> tuple[Candidate, ...]:
     for i, top in enumerate(scale.tops, start=1):
         found.append(one(
             f"s_{i}", "drive_saturation", "1", f"share held back beyond {top:.3g} rad/s", 1,
-            lambda c, r, top=top: np.clip(c.wanted, -top, top) - c.wanted, variant=True,
+            lambda c, r, top=top: np.clip(c.wanted, -top, top) - c.wanted, exclusive="effect",
             symbol="omega_max", shape=(("omega_max", top), ("slew", np.inf)), limit=1.5))
     return tuple(found)
 

@@ -122,9 +122,9 @@ def against(machine: Machine, recordings: Sequence[Recording], settings: Setting
     effects = tuple(_effect(one, change, models) for one, change in zip(
         moved, changes, strict=False) if change.symbol)
     # What no numbers of the machine describe has a place, and not what is left of another balance.
-    where, curves = place_of(models, courses, changes, (), verdict, {
-        one.balance: one.usual if one.balance in loud or not loud else np.inf
-        for one in judged.balances})
+    where, curves = place_of(
+        [one for one in models if verdict != "unexplained" or one.balance in loud or not loud],
+        courses, changes, (), verdict, {one.balance: one.usual for one in judged.balances})
     signals = {one.balance: SignalFit(
         SIDES[one.balance], one.nominal_error * one.size, one.error * one.size, one.floor,
         signal_rms=one.size) for one in models}

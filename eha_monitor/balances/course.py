@@ -253,7 +253,7 @@ class Course:
         known = self.known[balance]
         return known if known.ndim == 1 else self.of_filled(*known)
 
-    def held(self, balance: str) -> np.ndarray:
+    def resting(self, balance: str) -> np.ndarray:
         """Return what the config's loads hold at rest of a balance, (m,): of the force alone."""
         nothing = np.zeros(len(self))
         return self.known.get("at_rest", nothing) if balance == "force" else nothing

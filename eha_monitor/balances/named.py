@@ -117,7 +117,7 @@ def _effect(name: str, terms: Sequence[Term], model: Model, rig: Rig, config: Ef
         p.name in values for p in entry.sizes if np.isfinite(p.neutral))
     sure = {symbol: to_digits(value.value, value.stddev)
             for symbol, value in values.items() if 0.0 < value.stddev < np.inf}
-    grid = {key for term in terms if term.candidate.variant for key, _ in term.candidate.shape}
+    grid = {key for term in terms if term.candidate.exclusive for key, _ in term.candidate.shape}
     said = entry.said(numbers | sure, grid - values.keys()) if whole else ""
     if not said:
         said = "; ".join(_said(term, held) for term in terms)

@@ -40,7 +40,7 @@ from eha_monitor.balances.together import of_one_machine
 from eha_monitor.errors import InputError
 from eha_monitor.estimation.results import EVERY_S, LOOK_S, ONE, TWO, Beside, ParameterEstimate
 from eha_monitor.estimation.rig_model import force_of
-from eha_monitor.physics.effects import CATALOGUE
+from eha_monitor.physics.effects import DRY_LAWS
 from eha_monitor.recordings.recording import Recording, rows_of, sample_of
 from eha_monitor.settings.monitor import Settings
 from eha_monitor.settings.rig import Rig
@@ -118,7 +118,7 @@ def _surest_damping(course: Course, settings: Settings) -> tuple[float, float] |
 def _friction(settings: Settings) -> float:
     """Return the dry friction that the config has, N."""
     return sum(abs(float(values.get("F_c", 0.0))) for name, values in settings.effects.items()
-               if getattr(CATALOGUE.get(name), "family", "") == "dry")
+               if name in DRY_LAWS)
 
 
 def damping(course: Course, rig: Rig, known: np.ndarray, friction: float,

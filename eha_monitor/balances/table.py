@@ -212,7 +212,7 @@ def tables_of(courses: Sequence[Course], rig: Rig, balance: str,
         doubts = doubts_of(course, rig, balance, whole)
         rows = course.in_band(np.column_stack([whole, known, *doubts, *(row[i] for i in kept)]))
         good = course.compared(course.counted(balance))
-        signal = rows[good, 0] - course.in_band(course.held(balance))[good]
+        signal = rows[good, 0] - course.in_band(course.resting(balance))[good]
         signal -= signal.mean() if own_load else 0.0
         size = max(float(np.sqrt(np.mean(signal**2))), STILL)
         first = 2 + len(doubts)

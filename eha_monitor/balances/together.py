@@ -339,7 +339,7 @@ class Recordings:
 
     def _has_variant(self, name: str, names: list[str]) -> bool:
         one = self.candidates[name]
-        return one.variant and any(self.candidates[other].effect == one.effect for other in names)
+        return any(one.excludes(self.candidates[other]) for other in names)
 
     def _possible(self, names: list[str], more: str) -> bool:
         """Tell whether all shared parameters stay within their limits beside one more term.
@@ -390,7 +390,7 @@ class Recordings:
         """Move each shape to the variant that fits best beside the other terms."""
         for i, name in enumerate(names):
             one = self.candidates[name]
-            if not one.variant:
+            if not one.exclusive:
                 continue
             for other in self.candidates.values():
                 if (other.effect == one.effect and other.name != names[i]

@@ -12,6 +12,7 @@ from eha_monitor.indicators import indicator, laws
 from eha_monitor.indicators.indicator import Indicator
 from eha_monitor.indicators.laws import LEAKS, viscosity_factor
 from eha_monitor.mismatch.diagnosis import Diagnosis
+from eha_monitor.physics.effects import DRY_LAWS
 from eha_monitor.quantity import number, quantity
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings.monitor import Settings
@@ -316,14 +317,14 @@ def _free_air(found: Evidence, settings: Settings) -> Indicator:
 
 def _friction(found: Evidence, settings: Settings) -> Indicator:
     unit = "N·m" if settings.rig.motion == "rotary" else "N"
-    if none := _not_looked_for("friction", found, laws.DRY, "dry friction", ("x",), unit):
+    if none := _not_looked_for("friction", found, DRY_LAWS, "dry friction", ("x",), unit):
         return none
     total = (2.0 * float(np.mean(found.pressures)) if len(found.pressures)
              else 2.0 * settings.rig.charge_pressure)
-    values, covariance = found.part(*_parameters(found, laws.DRY))
-    configured = found.beside(*laws.DRY)
-    at = listed([effect_words(name) for name in found.named(*laws.DRY)])
-    if "pressure_friction" in found.named(*laws.DRY):
+    values, covariance = found.part(*_parameters(found, DRY_LAWS))
+    configured = found.beside(*DRY_LAWS)
+    at = listed([effect_words(name) for name in found.named(*DRY_LAWS)])
+    if "pressure_friction" in found.named(*DRY_LAWS):
         at += f", at p₁ + p₂ = {quantity(total, 'Pa', 3)}"
     return _made("friction", lambda v: laws.dry_friction(configured | v, total), values,
                  covariance, (), at, unit)

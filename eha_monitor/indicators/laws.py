@@ -5,6 +5,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from eha_monitor.physics.effects import DRY_LAWS
 from eha_monitor.physics.effects.oil import P_ATM, compliance
 from eha_monitor.settings.monitor import Viscosity
 
@@ -56,8 +57,6 @@ def viscosity_factor(viscosity: Viscosity, temperature: float) -> float:
 _UNIT_AIR = getattr(compliance, "py_func", compliance)
 LEAKS = ("cross_port_leakage", "turbulent_leakage", "leakage_offset")
 LOSSES = ("pump_flow_gain", "pump_volumetric_loss")
-DRY = ("coulomb_friction", "stribeck_friction", "presliding_friction", "asymmetric_friction",
-       "pressure_friction")
 
 
 def leakage_flow(found: Mapping[str, float], pressure: float, thinner: float = 1.0) -> float:
@@ -107,9 +106,9 @@ def dry_friction(found: Mapping[str, float], pressures: float) -> float:
 
     What every name of it has: of a seal whose rise near standstill is named in one recording and
     not in the next, a sum with that rise would jump by it.  ``found`` are parameters of
-    :data:`DRY`, ``pressures`` is p1 + p2, Pa.
+    the laws of dry friction, ``pressures`` is p1 + p2, Pa.
     """
-    force = sum(found.get(f"{effect}.F_c", 0.0) for effect in DRY)
+    force = sum(found.get(f"{effect}.F_c", 0.0) for effect in DRY_LAWS)
     force += abs(found.get("asymmetric_friction.dF", 0.0))
     return force + found.get("pressure_friction.mu", 0.0) * pressures
 

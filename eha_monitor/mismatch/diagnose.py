@@ -28,11 +28,11 @@ from eha_monitor.mismatch.holds import Searched, as_it_reads, searched
 from eha_monitor.mismatch.likelihood.fit import Fit, with_unknowns
 from eha_monitor.mismatch.locate.terms import BALANCES
 from eha_monitor.mismatch.name.before import FirstView, at_its_angle, informative
-from eha_monitor.mismatch.name.naming import Naming, follows, name_effects, on_all_of
+from eha_monitor.mismatch.name.naming import Naming, follows, name_effects, on_all_of, within_form
 from eha_monitor.mismatch.name.nominal import lack_of
 from eha_monitor.mismatch.name.select import GAINED, PLAINLY, Manner, Search, begun
 from eha_monitor.mismatch.show.changed import changed_between
-from eha_monitor.physics.effects import CATALOGUE
+from eha_monitor.physics.effects import DRY_LAWS
 from eha_monitor.progress import Report, silent
 from eha_monitor.quantity import quantity
 from eha_monitor.recordings.position import trusted
@@ -138,8 +138,7 @@ def _diagnosed(recordings: list[Recording], settings: Settings, held_out: Record
             lambda search: name_effects(search, lambda text, share: say(text, 0.85 * share)))
 
     end = search()
-    dry = tuple(name for name in settings.effects
-                if name in CATALOGUE and CATALOGUE[name].family == "dry")
+    dry = tuple(name for name in settings.effects if name in DRY_LAWS)
     if dry and end.named and lacks_more(*end.named):
         end = clearer(end, search(dry))
     experiment, decision, named = end.experiment, end.decision, end.named
@@ -185,9 +184,8 @@ def bare_experiment(recordings: list[Recording], under: Settings, held_out: bool
 
 def lacks_more(windows: Experiment, naming: Naming) -> bool:
     """Tell whether a search leaves more than the form error of the laws that it names."""
-    before, after = (lack_of(windows, fit) for fit in (naming.before, naming.after))
-    return not (verdict_of(naming) == "consistent" and follows(naming)) and (
-        after > windows.policy.law * max(before, after))
+    return not (verdict_of(naming) == "consistent" and follows(naming)) and not within_form(
+        windows, naming.before, naming.after)
 
 
 def clearer(end: Searched, bare: Searched) -> Searched:

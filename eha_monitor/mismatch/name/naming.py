@@ -215,7 +215,12 @@ def follows(naming: Naming) -> bool:
 
 
 def near_to(experiment: Experiment, before: Fit, after: Fit) -> bool:
-    """Tell whether a model lacks nothing, or no more than ``law`` of what the nominal one does."""
+    """Tell whether a model lacks nothing, or no more than the form error of its laws."""
+    return not lacks(experiment, after) or within_form(experiment, before, after)
+
+
+def within_form(experiment: Experiment, before: Fit, after: Fit) -> bool:
+    """Tell whether a model lacks no more than ``law`` of what the nominal one does."""
     most = lack_of(experiment, before)
-    return not lacks(experiment, after) or bool(np.isfinite(most) and lack_of(
-        experiment, after) <= experiment.policy.law * most)
+    return bool(np.isfinite(most)
+                and lack_of(experiment, after) <= experiment.policy.law * most)

@@ -16,6 +16,8 @@ def _load() -> dict[str, Effect]:
 
 CATALOGUE: dict[str, Effect] = _load()
 NAMES: tuple[str, ...] = tuple(CATALOGUE)
+# Laws of dry friction: together they are one force.
+DRY_LAWS: tuple[str, ...] = tuple(n for n, entry in CATALOGUE.items() if entry.family == "dry")
 # Times, "effect.parameter" -> the signal that each makes late.
 LATE: dict[str, str] = {f"{name}.{one.name}": one.late for name, entry in CATALOGUE.items()
                         for one in entry.parameters if one.late}
