@@ -329,7 +329,8 @@ class Fitted:
 class Gate:
     """A check that an answer did not pass, so that it is not given."""
 
-    gate: str  # ``unseen_error``, ``bound``, ``member``, ``sign``, ``curve`` or ``least_squares``
+    # ``unseen_error``, ``bound``, ``member``, ``added``, ``sign``, ``curve`` or ``least_squares``
+    gate: str
     what: str  # effect, ``rig.<key>`` or signal that failed
     statement: str  # one sentence: which check, with its numbers
 

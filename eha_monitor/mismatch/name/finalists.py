@@ -23,7 +23,7 @@ from eha_monitor.mismatch.name.starts import (
     with_effect,
     without_effect,
 )
-from eha_monitor.physics.effects import CATALOGUE
+from eha_monitor.physics.effects import CATALOGUE, NAMES
 from eha_monitor.physics.parameters import effect_values
 
 CLOSE = 300.0  # log units: within them a set is a rival that is fitted to the end
@@ -68,6 +68,10 @@ def simplified(experiment: Experiment, fit: Fit, name: str, other: str) -> Fit:
     # A size that vanishes in the law is none of the simpler one's (Stribeck with F_c = 0).
     start = sharing(start, {key: value for key, value in has.items()
                             if abs(value) >= abs(least.get(key, 0.0))})
+    # Where the effect has the place of a law of the config, so has what comes in its place.
+    start = replace(start, replaces=next((
+        one for one in CATALOGUE[name].contains if one in CATALOGUE[other].contains
+        and experiment.active[NAMES.index(one)]), ""))
     bare, sizes = without_effect(experiment, fit, name), len(CATALOGUE[other].sizes)
     return likeliest(with_unknowns(experiment, with_effect(bare, start, (times,) * sizes),
                                    fit.unknowns) for times in LADDER)
@@ -194,6 +198,8 @@ def gated(experiment: Experiment, refits: Refits) -> None:
             continue
         if failed:
             refits.refused[best] = tuple(failed)
+            if any(gate.gate == "added" for gate in failed):
+                with_simpler_laws(experiment, refits, best)
             for name in dict.fromkeys(gate.what for gate in failed):
                 if best - {name} not in refits.fits:
                     refits.add(experiment, best - {name}, settled(experiment, lesser(
@@ -224,19 +230,24 @@ def not_needed(experiment: Experiment, refits: Refits, names: Names, failed: Seq
     where it stands, and has to lose what ``sure`` deviations of all its numbers are
     (likelihood-ratio test, Wilks 1938), and more than the others' laws may have wrong.
     """
-    def needed(name: str) -> bool:
-        rest = refits.fits.get(names - {name})
-        surely = 0.5 * chdtri(sum(f.owner == name for f in fit.free),
+    def needed(gate: Gate) -> bool:
+        rest = [refits.fits[less] for less in [
+            *(names - {gate.what} | {other} for other in simpler_laws(gate.what)
+              if gate.gate == "added"), names - {gate.what}] if less in refits.fits]
+        surely = 0.5 * chdtri(sum(f.owner == gate.what for f in fit.free),
                               erfc(experiment.policy.sure / np.sqrt(2.0)))
-        return rest is not None and fit.log_likelihood - rest.log_likelihood >= max(
+        return bool(rest) and fit.log_likelihood - likeliest(rest).log_likelihood >= max(
             surely, form_error(refits, refits.evidence[names]))
 
     fit = refits.fits[names]
-    doubtful = [gate for gate in failed if gate.gate == "member" and shaped(fit, gate.what)]
+    doubtful = [gate for gate in failed
+                if gate.gate in ("member", "added") and shaped(fit, gate.what)]
     if doubtful and refits.parted.get(names) is not fit:
         refits.parted[names] = fit
         without(experiment, refits, names)
-    return [gate for gate in failed if gate not in doubtful or not needed(gate.what)]
+        if any(gate.gate == "added" for gate in doubtful):
+            with_simpler_laws(experiment, refits, names)
+    return [gate for gate in failed if gate not in doubtful or not needed(gate)]
 
 
 def at_defaults(experiment: Experiment, fit: Fit) -> Fit | None:
@@ -279,6 +290,25 @@ def caught_up(experiment: Experiment, refits: Refits) -> None:
         refits.add(experiment, names, fit)
 
 
+def simpler_laws(name: str) -> list[str]:
+    """Return the laws that an effect contains, and those of its family with one size."""
+    return sorted({*CATALOGUE[name].contains, *(
+        one for one in candidate(name).kin if len(CATALOGUE[one].sizes) == 1)})
+
+
+def with_simpler_laws(experiment: Experiment, refits: Refits, names: Names) -> None:
+    """Fit a set with each law as simple, or simpler, in the place of one, from where it stands."""
+    lead = refits.fits[names]
+    worth = lead.log_likelihood - CLOSE
+    for name in sorted(names & CATALOGUE.keys()):
+        for other in simpler_laws(name):
+            swapped = names - {name} | {other}
+            stuck = swapped not in refits.fits or refits.fits[swapped].log_likelihood < worth
+            if possible(other, experiment) and stuck:
+                refits.add(experiment, swapped, settled(
+                    experiment, simplified(experiment, lead, name, other), worth=worth))
+
+
 def finish(experiment: Experiment, refits: Refits) -> None:
     """Fit the sets that are within reach of the best to the end, under the same unknowns.
 
@@ -286,16 +316,7 @@ def finish(experiment: Experiment, refits: Refits) -> None:
     """
     without_each(experiment, refits)
     caught_up(experiment, refits)
-    best = refits.best()
-    lead = refits.fits[best]
-    for name in sorted(best & CATALOGUE.keys()):  # a law as simple, from the same place
-        for other in sorted({*CATALOGUE[name].contains, *(
-                one for one in candidate(name).kin if len(CATALOGUE[one].sizes) == 1)}):
-            swapped, worth = best - {name} | {other}, lead.log_likelihood - CLOSE
-            stuck = swapped not in refits.fits or refits.fits[swapped].log_likelihood < worth
-            if possible(other, experiment) and stuck:
-                refits.add(experiment, swapped, settled(
-                    experiment, simplified(experiment, lead, name, other), worth=worth))
+    with_simpler_laws(experiment, refits, refits.best())
     # That nothing is missing is never judged by half a fit.
     able = within_reach(refits)
     plainer = {names: plainer_of(refits, names) for names in able}

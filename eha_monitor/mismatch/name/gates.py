@@ -2,6 +2,7 @@
 
 bound   no parameter of a member stands at the end of its range: the fit wanted to go on
 member  a member's own sizes are surely not absent, beside all that the rig's tolerances leave open
+added   nor are those that it has beyond a simpler law that it contains
 sign    what must run downhill does: friction takes power from the motion, a leak flows from the
         higher pressure to the lower
 size    a member does more than a right model may leave unexplained (:func:`too_small`)
@@ -92,7 +93,7 @@ def _bounds(fit: Fit) -> Iterator[Gate]:
 
 
 def _members(experiment: Experiment, fit: Fit) -> Iterator[Gate]:
-    """Yield members that may as well be absent, by the fit's covariance of their sizes.
+    """Yield members that may as well be absent, or a simpler law, by their sizes' covariance.
 
     The set without such a member loses half the square of that distance, log units; if a refit
     loses more, it has stopped short.  A size that is fitted as a logarithm has no such distance.
@@ -105,16 +106,23 @@ def _members(experiment: Experiment, fit: Fit) -> Iterator[Gate]:
         if not own or any(fit.free[i].log or not np.isfinite(sizes[fit.free[i].symbol].neutral)
                           for i in own):
             continue
-        values = [float(fit.theta[fit.free[i].place]) - sizes[fit.free[i].symbol].neutral
-                  for i in own]
-        apart = from_absent(values, fit.covariance[np.ix_(own, own)], [True] * len(own))
-        if apart < sure:
+        simpler = {p.name for other in entry.contains for p in CATALOGUE[other].sizes}
+        added = [i for i in own if fit.free[i].symbol not in simpler] if simpler else []
+        within = listed([*map(effect_words, entry.contains)])
+        for gate, which, words in (("member", own, "{} of {}"), (
+                "added", added, f"what {{}} has beyond {within}, {{}},")):
+            values = [float(fit.theta[fit.free[i].place]) - sizes[fit.free[i].symbol].neutral
+                      for i in which]
+            if not which or sure <= from_absent(
+                    values, fit.covariance[np.ix_(which, which)], [True] * len(which)):
+                continue
             said = listed([with_uncertainty(
                 value + sizes[fit.free[i].symbol].neutral, fit.stddev(fit.free[i].name),
                 sizes[fit.free[i].symbol].unit.replace("*", "·"))
-                for i, value in zip(own, values, strict=True)])
-            yield Gate("member", name, f"{effect_words(name)} of {said} is not "
+                for i, value in zip(which, values, strict=True)])
+            yield Gate(gate, name, f"{words.format(effect_words(name), said)} is not "
                        f"{sure:g} deviations from absent")
+            break
 
 
 def too_small(experiment: Experiment, fit: Fit) -> tuple[str, ...]:

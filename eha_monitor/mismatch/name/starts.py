@@ -149,7 +149,8 @@ def with_effect(fit: Fit, start: Start, amplitudes: tuple[float, ...]) -> Fit:
             values[p.name] = min(max(value, p.lower), p.upper)
     placed = replace(start, values=tuple(values.items()))
     theta, active = entered(fit.theta, fit.active, placed)
-    free = tuple(f for f in fit.free if f.owner != start.effect)
+    gone = {start.effect, start.replaces} - {""}
+    free = tuple(f for f in fit.free if f.owner not in gone)
     return replace(fit, theta=theta, active=active, free=free + free_of(start),
                    named=(*fit.named, start.effect))
 
