@@ -78,6 +78,19 @@ def test_a_member_that_may_as_well_be_absent_is_refused(deviations, refused):
     assert (("member", "coulomb_friction") in gates_of(experiment, there)) == refused
 
 
+@pytest.mark.parametrize("falls, refused", [(2.0, True), (40.0, False)])
+def test_a_law_that_adds_nothing_surely_to_a_simpler_one_is_refused(falls, refused):
+    """Its own size is sure; what it has beyond Coulomb friction is not."""
+    experiment, fit = with_start("stribeck_friction")
+    covariance = np.eye(len(fit.free)) * 1e-30
+    i = [f.name for f in fit.free].index("stribeck_friction.F_d")
+    covariance[i, i] = 4.0**2
+    there = replace(moved(fit, stribeck_friction__F_c=40.0, stribeck_friction__F_d=falls),
+                    covariance=covariance)
+    assert (("added", "stribeck_friction") in gates_of(experiment, there)) == refused
+    assert ("member", "stribeck_friction") not in gates_of(experiment, there)
+
+
 @pytest.mark.parametrize("concealed", ["anti_cavitation", "coulomb_friction"])
 def test_a_member_with_a_threshold_is_refused_where_a_refit_without_it_is_no_worse(concealed):
     """How far off nil its conductance is, no deviation says: beyond some it is all the same."""

@@ -15,7 +15,14 @@ from eha_monitor.mismatch.answer import held_command, is_answer, verdict_of
 from eha_monitor.mismatch.beside_balances import contradicted, explains_more
 from eha_monitor.mismatch.data.experiment import experiment_of
 from eha_monitor.mismatch.diagnose import diagnose, diagnose_and_name
-from eha_monitor.mismatch.diagnosis import VERDICTS, Diagnosis, SignalFit, Value
+from eha_monitor.mismatch.diagnosis import (
+    VERDICTS,
+    Diagnosis,
+    RigFinding,
+    SignalFit,
+    Value,
+    payload_sentences,
+)
 from eha_monitor.mismatch.holds import gained_under, late_as_held, nominal_of, searched
 from eha_monitor.mismatch.name.before import informative, with_effects
 from eha_monitor.mismatch.name.naming import Naming
@@ -365,16 +372,39 @@ def test_a_number_of_the_force_that_least_squares_contradict_is_no_answer():
         return replace(first, effects=effects, after={**first.after, "B": replace(
             b, value=value, stddev=1e-3 * value)})
 
-    (gate,) = contradicted(first, said(1.3 * b.value))
+    rig = settings.rig
+    (gate,) = contradicted(first, said(1.3 * b.value), rig)
     assert gate.gate == "least_squares" and gate.what == "B"
     assert f"{b.value:.3g}"[:2] in gate.statement
-    assert contradicted(first, said(b.value + 2.0 * b.stddev)) == ()
+    assert contradicted(first, said(b.value + 2.0 * b.stddev), rig) == ()
     # Of a load of another size both are told; least squares without an effect say nothing.
     larger = replace(load, parameters={"F_0": replace(
         load.parameters["F_0"], value=2.0 * load.parameters["F_0"].value)})
-    assert [one.what for one in contradicted(first, said(b.value, larger))] == ["F_0"]
-    assert contradicted(replace(first, effects=()), said(1.3 * b.value)) == ()
-    assert contradicted(first, replace(said(1.3 * b.value), verdict="unexplained")) == ()
+    assert [one.what for one in contradicted(first, said(b.value, larger), rig)] == ["F_0"]
+    assert contradicted(replace(first, effects=()), said(1.3 * b.value), rig) == ()
+    assert contradicted(first, replace(said(1.3 * b.value), verdict="unexplained"), rig) == ()
+    # A mass of which a filter says nothing is the config's, within its tolerance.
+    mass = replace(load, name="added_mass", parameters={
+        "dM": Value(0.5 * rig.mass, 0.02 * rig.mass, "kg")})
+    heavier = replace(first, effects=(load, mass))
+    (gate,) = contradicted(heavier, said(b.value, load), rig)
+    assert gate.what == "dM"
+    known = RigFinding("mass", rig.mass, Value(1.48 * rig.mass, 0.02 * rig.mass, "kg"), 1.0, "")
+    assert contradicted(heavier, replace(said(b.value, load), rig_data=(known,)), rig) == ()
+
+
+def test_a_load_that_is_the_weight_of_the_mass_that_came_is_one_payload():
+    recording, settings = recorded(case_of("constant_load"))
+    load = first_answer([recording], settings, Asked()).effects[0]
+    force = replace(load, parameters={"F_0": Value(1250.0, 10.0, "N")})
+    config = {"constant_load": {"F_0": 269.3}}  # 100 kg less
+    finding = RigFinding("mass", 50.0, Value(153.0, 2.0, "kg"), 1.0, "")
+    (sentence,) = payload_sentences((force,), (finding,), config)
+    assert "100 kg" in sentence
+    mass = replace(load, name="added_mass", parameters={"dM": Value(97.0, 2.0, "kg")})
+    assert payload_sentences((force, mass), (), config) == (sentence,)
+    assert payload_sentences((force, mass), (), {}) == ()  # 127 kg
+    assert payload_sentences((force,), (), config) == payload_sentences((mass,), (), config) == ()
 
 
 @pytest.mark.parametrize(("effect", "samples", "held"), [

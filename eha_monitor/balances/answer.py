@@ -58,6 +58,7 @@ from eha_monitor.mismatch.diagnosis import (
     SignalFit,
     Value,
     health_sentences,
+    payload_sentences,
 )
 from eha_monitor.quantity import quantity, share, side_by_side, with_uncertainty
 from eha_monitor.recordings.recording import Recording
@@ -245,7 +246,7 @@ def _composed(models: Sequence[Model], courses: Sequence[Course], settings: Sett
         # What a balance lacks bends its own parameter; least squares on the other do not see it.
         health=tuple(sentence for name, value in before.items() for sentence in health_sentences(
             {name: value}, after, [e for e in effects if e.balance == BALANCE_OF[name]])
-        ) + warmed,
+        ) + warmed + payload_sentences(effects, wrong, settings.effects),
         drift=drift,
         config_effects=config_effects(models, effects, settings, newest) | {
             f"learned_{term.adds}": term.entry for term in learned.values()},

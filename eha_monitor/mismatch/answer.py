@@ -31,6 +31,7 @@ from eha_monitor.mismatch.diagnosis import (
     Value,
     health_sentences,
     intermittent_load,
+    payload_sentences,
 )
 from eha_monitor.mismatch.learn.validated import (
     Tested,
@@ -285,7 +286,8 @@ def _record(recordings: Sequence[Recording], draft: _Draft, baselines: tuple[Bas
         tuple(one.source for one in recordings), draft.verdict, message, where, draft.effects,
         *known, "held_out_bag" if other_bag else "held_out", draft.signals, curves,
         show.overlays(draft.shown, before, after), considered_of(naming, draft.test, told),
-        parts, health_sentences(*known, draft.effects),
+        parts, health_sentences(*known, draft.effects) + payload_sentences(
+            draft.effects, draft.wrong, experiment.settings.effects),
         advise.advice_for(experiment, draft.asked),
         model.config_effects(experiment, after, draft.refitted,
                        (told.name, told.entry) if told is not None else None),

@@ -21,6 +21,7 @@ from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.quantity import with_uncertainty
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings.monitor import Settings
+from eha_monitor.settings.rig import Rig
 from eha_monitor.words import effect_words, listed
 
 
@@ -50,7 +51,7 @@ def instead_of_filter(first: Diagnosis, filtered: Filtered, recordings: list[Rec
         return first
     if beyond and explains_more(first, found, judges, filtered.settings):
         return first
-    apart = contradicted(first, found)
+    apart = contradicted(first, found, filtered.settings.rig)
     # What least squares have no law for (a sensor's curve) may be hardly any of the force, and yet
     # move its numbers: less than ``open`` of what they leave is enough.
     if apart and not (explains_more(found, first, judges, filtered.settings, POLICY.open)
@@ -168,7 +169,7 @@ def needs_fewer(found: Diagnosis, first: Diagnosis, recordings: list[Recording],
         for name, one in first.signals.items())
 
 
-def contradicted(first: Diagnosis, found: Diagnosis) -> tuple[Gate, ...]:
+def contradicted(first: Diagnosis, found: Diagnosis, rig: Rig) -> tuple[Gate, ...]:
     """Return the gate of a filter's answer in which a number of the force is not least squares'.
 
     Only where these name an effect of the force: they have what the filter's laws may lack (a law
@@ -178,7 +179,7 @@ def contradicted(first: Diagnosis, found: Diagnosis) -> tuple[Gate, ...]:
     """
     if first.verdict != "mismatch" or found.verdict != "mismatch":
         return ()
-    mine, theirs = _of_the_force(first), _of_the_force(found)
+    mine, theirs = _of_the_force(first), {"dM": _added_mass(found, rig)} | _of_the_force(found)
     # A filter names what is there beside the config's own effects, least squares the whole.
     for name in found.config_effects.keys() - {one.name for one in found.effects}:
         if name in CATALOGUE and CATALOGUE[name].balance == "force":
@@ -198,6 +199,14 @@ def contradicted(first: Diagnosis, found: Diagnosis) -> tuple[Gate, ...]:
                 f"{with_uncertainty(b.value, b.stddev, b.unit)}, and its laws leave no less of "
                 "the force on unseen data")))
     return tuple(gates)
+
+
+def _added_mass(answer: Diagnosis, rig: Rig) -> Value:
+    """Return by how much the mass that an answer states is beyond the config's, kg."""
+    for one in (*answer.rig_data, *answer.rig_within):
+        if one.key == "mass":
+            return replace(one.found, value=one.found.value - one.configured)
+    return Value(0.0, rig.tolerance.mass * rig.mass, "kg")
 
 
 def _of_the_force(answer: Diagnosis) -> dict[str, Value]:

@@ -1,10 +1,11 @@
 """What a diagnosis says; immutable records, made by :mod:`name`, :mod:`locate`, :mod:`show`."""
 
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from scipy.constants import g
 
 from eha_monitor.balances.baseline import Baseline
 from eha_monitor.balances.machine import Machine
@@ -492,3 +493,18 @@ def health_sentences(before: dict[str, Value], after: dict[str, Value],
             found.append(f"{read}, {quantity(-change, first.unit, 3)} too little, because of "
                          f"{cause}")
     return tuple(found)
+
+
+def payload_sentences(effects: Sequence[NamedEffect], wrong: Sequence[RigFinding],
+                      config: Mapping[str, Mapping[str, float]]) -> tuple[str, ...]:
+    """Return in plain words that a load and a mass that came are one: the load is its weight."""
+    of = {symbol: one for effect in effects for symbol, one in effect.parameters.items()}
+    mass, load = next((replace(one.found, value=one.found.value - one.configured)
+                       for one in wrong if one.key == "mass"), of.get("dM")), of.get("F_0")
+    if mass is None or load is None:
+        return ()
+    weight = abs(load.value - config.get("constant_load", {}).get("F_0", 0.0)) / g
+    if abs(weight - mass.value) > POLICY.varied * np.hypot(mass.stddev, load.stddev / g):
+        return ()
+    return ("constant load and moving mass are those of one payload of "
+            f"{quantity(weight, 'kg', 3)}: the load is its weight",)
