@@ -180,10 +180,10 @@ def command(*arguments):
         process.communicate()
 
 
-def end(process, how=signal.SIGTERM):
+def end(process, how=signal.SIGTERM, status=0):
     """End a command with a signal; returns its stdout.  It must end cleanly."""
     process.send_signal(how)
     out, err = process.communicate(timeout=30)
-    assert process.returncode == 0, err
+    assert process.returncode == status, err
     assert "Traceback" not in err, err
     return out

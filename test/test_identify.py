@@ -185,6 +185,20 @@ def test_a_spike_aborts_nothing_and_missing_samples_are_no_jump():
     assert "p1 of 8 MPa" in watch.exceeded({"x": x[:20], "p1": np.full(200, 8e6)})
 
 
+@given(st.integers(0, 2**32 - 1))
+def test_rows_that_are_lost_make_nothing_faster(seed):
+    """By their stamps the speed stays 0.1 m/s, whatever is lost and however the stamps jitter."""
+    rng = np.random.default_rng(seed)
+    at = 1e-3 * (np.arange(2000) + rng.uniform(-0.3, 0.3, 2000))
+    there = rng.uniform(size=2000) > 0.3
+    there[rng.integers(100, 1500):][:300] = False  # longer than the window
+    watch = Watch(bounds(lower=-1.0, upper=1.0, speed=0.101, acceleration=1.0), 1e-3, 1e-6)
+    for rows in np.array_split(np.flatnonzero(there), 11):
+        assert not watch.exceeded({"x": 0.1 * at[rows]}, at[rows])
+    later = at[-1] + 1e-3 * np.arange(1, 100)
+    assert "speed of 200 mm/s" in watch.exceeded({"x": 0.2 * later - 0.1 * at[-1]}, later)
+
+
 def test_simulated_rig_aborts_and_holds_what_was_demanded_last():
     settings = load_settings(CONFIG)
     rig = SimulatedRig(settings, settings.experiment, 1)

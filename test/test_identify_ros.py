@@ -7,6 +7,7 @@ import threading
 import numpy as np
 import pytest
 from ros_tools import PATIENCE, Caller, command, end
+from sensor_msgs.msg import JointState
 
 from eha_monitor.errors import InputError
 from eha_monitor.ros.identify_node import RosRig
@@ -82,11 +83,37 @@ def test_motion_abort_at_a_limit_by_the_service_and_without_data(graph, tmp_path
         assert again.asked and np.nanmax(demanded) - np.nanmin(demanded) < 1e-9
 
         rig._stop = ""
+        stalled = asked.begin(rig.run, sine(rig.position(), 1e-3, 1.0, 9.0), "stalled")
+        graph.until(lambda: rig._job is not None and rig._job.sent > 0)
+        rig._job.start_ns -= 3_000_000_000  # as if this process had been stopped for 3 s
+        ran = graph.until(lambda: stalled)[0]
+        assert "this program stood still" in ran.aborted and not ran.asked
+
         silent = asked.begin(rig.run, np.full(20_000, rig.position()), "silent")
         graph.until(lambda: rig._job is not None and rig._job.sent > 0)
         end(simulator)
         ran = graph.until(lambda: silent)[0]
     assert "nothing came of" in ran.aborted and not ran.asked
+
+
+def test_an_interrupted_motion_is_held_and_written(graph, tmp_path):
+    config, answer = tmp_path / "rig.yaml", tmp_path / "a.json"
+    config.write_text("simulation: {demand: topic}", encoding="utf-8")
+    sent = []
+    graph.node("listener").create_subscription(JointState, "/eha/command", sent.append, 10)
+    with command("simulator", "--config", config, "--seed", "1"), \
+            command("identify", "--config", "config/identify.yaml", "--out", tmp_path / "bags",
+                    "--json", answer) as process:
+        graph.until(lambda: len(sent) > 400, PATIENCE)
+        process.send_signal(signal.SIGINT)
+        graph.until(lambda: process.poll() is not None)
+        out, err = process.communicate()
+    assert process.returncode == 130, err
+    assert "aborted: interrupted" in out and "Traceback" not in err
+    found = json.loads(answer.read_text(encoding="utf-8"))
+    assert found["end"] == "aborted" and found["bags"] == [str(tmp_path / "bags" / "motion_01")]
+    assert (tmp_path / "bags" / "motion_01" / "metadata.yaml").is_file()
+    assert abs(sent[-1].position[0] - sent[-2].position[0]) < 1e-9
 
 
 @pytest.mark.slow
@@ -109,7 +136,7 @@ def test_the_command_decides_over_dds_and_waits_to_be_told(graph, tmp_path):
 def test_an_interrupted_wait_ends_quietly(graph):
     with command("identify", "--config", "config/identify.yaml", "--wait") as process:
         Caller(graph, 90.0).trigger("/eha/identify/start")
-        end(process, signal.SIGINT)
+        end(process, signal.SIGINT, 130)
 
 
 def test_nobody_to_move_is_one_line(graph, tmp_path, monkeypatch):
@@ -121,8 +148,6 @@ def test_nobody_to_move_is_one_line(graph, tmp_path, monkeypatch):
     assert "no position came" in str(asked(rig.position))
     assert "nobody subscribes" in str(asked(rig.ready))
     other = graph.node("controller", "/nobody")
-    from sensor_msgs.msg import JointState
-
     other.create_publisher(JointState, "command", 10)
     other.create_subscription(JointState, "command", lambda message: None, 10)
     graph.until(lambda: len(other.get_publishers_info_by_topic("/nobody/command")) == 2)

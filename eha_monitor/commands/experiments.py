@@ -5,6 +5,7 @@ the key, and scores the diagnosis.
 """
 
 import shlex
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -73,23 +74,31 @@ def identify(ros_args: list[str], config: Path | None, simulated: Path | None, o
                         for option, value in (("--config", config), ("--simulate", simulated))
                         if value is not None)])
 
+    rounds: list[Round] = []
+
     def experiment(rig: "Rig") -> str:
-        rounds: list[Round] = []
         with rig_motion(given.settings.rig.motion):  # of this thread
             with common.progress_bar() as told:
                 for one in rounds_of(rig, planner, lambda recording: checked(
                         [recording], given.settings), told):
                     rounds.append(one)
                     written(one, len(rounds), out, given.settings, overwrite)
-            return finish(rounds, planner, out, command,
-                          (json_file, report_file, config_file), config)
+                    answered(rounds, planner, out, command, targets, config)
+            return finish(rounds, out, targets)
 
-    if simulated is not None:
-        aborted = experiment(SimulatedRig(config_of(simulated).settings, bounds, seed,
-                                          str(simulated)))
-    else:
-        aborted = common.ros_module("identify_node").run_identify(
-            given.settings, bounds, ros_args, wait, (out, overwrite), experiment)
+    targets = json_file, report_file, config_file
+    try:
+        if simulated is not None:
+            aborted = experiment(SimulatedRig(config_of(simulated).settings, bounds, seed,
+                                              str(simulated)))
+        else:
+            aborted = common.ros_module("identify_node").run_identify(
+                given.settings, bounds, ros_args, wait, (out, overwrite), experiment)
+    except KeyboardInterrupt:
+        bags = [out / f"motion_{i:02d}" for i in range(1, len(rounds) + 2)]
+        kept = [path for path in (*bags, *targets) if path and path.exists()]
+        click.echo(f"interrupted; kept of the motions so far: {', '.join(map(str, kept)) or '-'}")
+        raise
     if aborted:
         raise InputError(aborted)
 
@@ -106,19 +115,24 @@ def written(one: "Round", count: int, out: Path, settings: "Settings", overwrite
                         overwrite=overwrite)
 
 
-def finish(rounds: list["Round"], planner: "Planner", out: Path, command: str,
-           targets: tuple[Path | None, Path | None, Path | None], config: Path | None) -> str:
-    """Write JSON, report and config; return why the experiment was aborted, or ""."""
+def bags_of(rounds: list["Round"], out: Path) -> list[Path]:
+    """Return where the motions of the rounds are recorded."""
+    return [one.ran.bag or out / one.ran.recording.source for one in rounds]
+
+
+def answered(rounds: list["Round"], planner: "Planner", out: Path, command: str,
+             targets: Sequence[Path | None], config: Path | None) -> None:
+    """Write JSON, report and config of the rounds so far: an experiment may be interrupted."""
     from eha_monitor.api.diagnose import answer, written_config
     from eha_monitor.identify.experiment import tree
     from eha_monitor.quantity import in_units
     from eha_monitor.reports.diagnosis_report import diagnosis_page
 
     json_file, report_file, config_file = targets
-    settings, last = planner.settings, rounds[-1]
+    settings = planner.settings
     found = next((in_units(one.diagnosis) for one in reversed(rounds)
                   if one.diagnosis is not None), None)
-    bags = [str(one.ran.bag or out / one.ran.recording.source) for one in rounds]
+    bags = [*map(str, bags_of(rounds, out))]
     if json_file:
         write_json(json_file, finite(tree(rounds, bags, planner.bounds, planner.wanted,
                                           settings.rig.sample_time)
@@ -128,9 +142,18 @@ def finish(rounds: list["Round"], planner: "Planner", out: Path, command: str,
             write_text(config_file, written_config(found, settings, config))
         if report_file:
             write_text(report_file, diagnosis_page(found, settings, (), command))
-        click.echo(found.message)
+
+
+def finish(rounds: list["Round"], out: Path, targets: Sequence[Path | None]) -> str:
+    """Say what was found and written; return why the experiment was aborted, or ""."""
+    from eha_monitor.quantity import in_units
+
+    last, bags = rounds[-1], bags_of(rounds, out)
+    found = next((one.diagnosis for one in reversed(rounds) if one.diagnosis is not None), None)
+    if found is not None:
+        click.echo(in_units(found).message)
     for path in filter(None, (*bags, *targets)):
-        if Path(path).exists():
+        if path.exists():
             click.echo(f"written: {path}")
     return f"{bags[-1]}: aborted: {last.ran.aborted}" if (
         last.ran.aborted and not last.ran.asked) else ""

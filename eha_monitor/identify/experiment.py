@@ -78,7 +78,8 @@ class Watch:
     Speed and acceleration are those of a parabola fitted to ``WINDOW`` s of positions
     (Savitzky and Golay 1964); what their noise may add is not counted.
 
-    The bounds are complete; ``noise`` is the standard deviation of the position, m.
+    The bounds are complete; ``noise`` is the standard deviation of the position, m.  What comes
+    with stamps is judged by these: rows that are lost make nothing faster.
     """
 
     def __init__(self, bounds: Bounds, dt: float, noise: float):
@@ -88,24 +89,40 @@ class Watch:
                        for name, unit, limit, kernel in (
             ("speed", "m/s", bounds.speed, savgol_coeffs(count, 2, 1, dt)),
             ("acceleration", "m/s²", bounds.acceleration, savgol_coeffs(count, 2, 2, dt)))]
+        # channel -> (k, 2) time in s and value, of the last samples
         self._kept: dict[str, np.ndarray] = {}
         self._count = count
 
-    def exceeded(self, channels: dict[str, np.ndarray]) -> str:
+    def exceeded(self, channels: dict[str, np.ndarray], at: np.ndarray | None = None) -> str:
         """Take further samples, channel -> (n,) SI; return which limit they exceed, or "".
 
         Missing samples (NaN) are left out, those of a channel that does not come are not asked.
+        A gap is bridged by a straight line, and one longer than ``WINDOW`` s begins anew.
+
+        ``at`` : (n,) stamps of the samples, s; None where they come one each sample time.
         """
         for name in CHANNELS:
             values = channels.get(name)
             if values is None:
                 continue
-            values = values[np.isfinite(values)]
-            before = self._kept.get(name, values[:0])
-            rows = np.concatenate([before, values])
-            self._kept[name] = rows[-(self._count + STANDING):]
-            if found := self._beyond(name, rows):
+            before = self._kept.get(name, np.empty((0, 2)))
+            if at is None:
+                last = before[-1, 0] if len(before) else 0.0
+                times = last + self._dt * np.arange(1, len(values) + 1)
+            else:
+                times = at
+            there = np.isfinite(values)
+            rows = np.concatenate([before, np.column_stack([times, values])[there]])
+            gaps = np.flatnonzero(~(np.diff(rows[:, 0]) <= WINDOW + self._dt))
+            rows = rows[gaps[-1] + 1 if len(gaps) else 0:]
+            if not len(rows):
+                continue
+            count = round((rows[-1, 0] - rows[0, 0]) / self._dt) + 1
+            even = rows[0, 0] + self._dt * np.arange(count)
+            if found := self._beyond(name, np.interp(even, *rows.T)):
                 return found
+            since = rows[-1, 0] - (self._count + STANDING) * self._dt
+            self._kept[name] = rows[rows[:, 0] >= since]
         return ""
 
     def _beyond(self, name: str, rows: np.ndarray) -> str:

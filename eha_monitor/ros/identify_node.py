@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+import rclpy
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
@@ -28,6 +29,8 @@ TURN = 0.01  # s between two turns: what comes is looked at, what is due is sent
 GRAPH = 0.2  # s between two looks at who publishes
 HOLDING = 0.1  # s between two commands while a position is held
 PATIENCE = 30.0  # s that a rig has to appear
+STALLED = 0.1  # s that a command may be overdue: what the rig missed would come as a jump
+ENDING = 5.0  # s in which what has come of an interrupted motion is written
 TAIL = 0.2  # s for which what comes is still recorded after a motion
 COMMAND = "command"
 
@@ -74,6 +77,7 @@ class RosRig:
         self._demanded = self._measured = np.nan
         self._heard: dict[str, float] = {}
         self._told, self._stop = 0.0, ""
+        self._last_ns = 0  # stamp of the command sent last
         self.started, self.seen = threading.Event(), threading.Event()
         every(node, TURN, self._turn)
         every(node, GRAPH, self._look)
@@ -135,24 +139,28 @@ class RosRig:
         return Ran(recording, job.aborted, job.asked, bag)
 
     def abort(self, why: str, asked: bool = False) -> bool:
-        """Hold the position demanded last; returns whether a motion was under way."""
+        """Hold the position sent last; returns whether a motion was under way.
+
+        What was sent is on its way, up to ``command_lead`` s of it: a rig that queues commands by
+        their stamps does it yet, and would jump back to any earlier position.
+        """
         job, now = self._job, self._node.get_clock().now().nanoseconds
         if job is None or job.aborted:
             return False
         job.aborted, job.asked = why, asked
-        at = min(max((now - job.start_ns) // self._dt_ns, 0), len(job.x_d) - 1)
         if job.sent:
-            self._hold(held(self._bounds, job.x_d[at]), now)
+            self._hold(held(self._bounds, job.x_d[job.sent - 1]), now)
         job.sent = len(job.x_d)
         job.end_ns = now + round(HELD * 1e9)
         return True
 
     def _hold(self, position: float, now: int) -> None:
-        """Command a position from now on; commands that were sent for later are no more."""
+        """Command a position behind all that was sent."""
         self._demanded, self._told = position, time.monotonic()
-        self._send(position, now)
+        self._send(position, max(now, self._last_ns + self._dt_ns))
 
     def _send(self, position: float, stamp_ns: int) -> None:
+        self._last_ns = stamp_ns
         self._publisher.publish(joint_state(stamp_ns, self._name, position, np.nan,
                                             self._settings.frame_id))
 
@@ -160,12 +168,16 @@ class RosRig:
         """Look at what came, send what is due."""
         job, now = self._job, self._node.get_clock().now().nanoseconds
         self._take(job)
+        if (job is None or job.aborted) and np.isfinite(self._demanded) and (
+                time.monotonic() - self._told >= HOLDING):
+            self._hold(self._demanded, now)
         if job is None:
-            if np.isfinite(self._demanded) and time.monotonic() - self._told >= HOLDING:
-                self._hold(self._demanded, now)
             return
         if self._stop and not job.aborted:
             self.abort(self._stop, asked=True)
+        overdue = now - job.start_ns - job.sent * self._dt_ns
+        if 0 < job.sent < len(job.x_d) and overdue > STALLED * 1e9:
+            self.abort(f"this program stood still: a command is {1e-9 * overdue:.2f} s late")
         silent = [name for name, at in self._heard.items()
                   if time.monotonic() - at > self._bounds.silence]
         if silent and not job.aborted:
@@ -198,7 +210,8 @@ class RosRig:
                 if "x" in shown:
                     self._measured = float(shown["x"][np.isfinite(shown["x"])][-1])
                     self.seen.set()
-                if job is not None and not job.aborted and (why := job.watch.exceeded(shown)):
+                if job is not None and not job.aborted and (
+                        why := job.watch.exceeded(shown, 1e-9 * batch.stamps)):
                     self.abort(why)
 
     def _look(self) -> None:
@@ -254,7 +267,12 @@ def run_identify(settings: Settings, bounds: Bounds, ros_args: list[str], wait: 
         worker = threading.Thread(target=work, name="identify", daemon=True)
         worker.start()
         running.spin(node, finished=lambda: not worker.is_alive())
-        rig.abort("interrupted", asked=True)
+        interrupted = worker.is_alive()
+        # A motion ends as at the service identify/stop: the rig is held, and its bag written.
+        if rig.abort("interrupted", asked=True):
+            running.spin(node, ENDING, lambda: not worker.is_alive(), rclpy.ok)
     if failed:
         raise failed[0]
+    if interrupted:
+        raise KeyboardInterrupt
     return result[0] if result else ""

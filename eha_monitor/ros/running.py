@@ -172,8 +172,11 @@ def node(name: str, namespace: str = "", **options) -> contextlib.AbstractContex
 
 
 def spin(nodes: Node | Sequence[Node], duration: float | None = None,
-         finished: Callable[[], bool] = lambda: False) -> None:
-    """Run the callbacks of nodes until a signal, ``duration`` s, or ``finished()``."""
+         finished: Callable[[], bool] = lambda: False, goes_on: Callable[[], bool] = ok) -> None:
+    """Run the callbacks of nodes until a signal, ``duration`` s, or ``finished()``.
+
+    ``goes_on`` : :func:`rclpy.ok` also after a signal.
+    """
     nodes = [nodes] if isinstance(nodes, Node) else nodes
     executor = EventsExecutor()
     for each in nodes:
@@ -181,7 +184,7 @@ def spin(nodes: Node | Sequence[Node], duration: float | None = None,
     end = None if duration is None else time.monotonic() + duration
     try:
         with until_shutdown():
-            while ok() and not finished():
+            while goes_on() and not finished():
                 left = _LOOK_UP if end is None else min(_LOOK_UP, end - time.monotonic())
                 if left <= 0:
                     break
