@@ -92,6 +92,24 @@ def new_state(x: float, p1: float, p2: float) -> np.ndarray:
     return y
 
 
+def at_rest(theta: np.ndarray, active: np.ndarray, x: float) -> np.ndarray:
+    """Return the state at rest at ``x`` (m), (N_STATE,): the pressures hold what loads the rod.
+
+    A1 p1 - A2 p2 = F beside an unchanged sum of both, which make-up keeps; where one would be
+    below zero it is zero, and the other holds the load alone.
+    """
+    signals, c = np.zeros(of.N_SIGNALS), np.zeros(of.N_CONTRIBUTIONS)
+    area_1, area_2, charge = theta[of.AREA_1], theta[of.AREA_2], theta[of.P_CHARGE]
+    p1, p2 = charge, charge * area_1 / area_2
+    signals[of.X], signals[of.P1], signals[of.P2] = x, p1, p2
+    effects.add_contributions(signals, theta, effects.with_term(active), effects.new_memory(), c)
+    force = c[of.FORCE]
+    p1, p2 = p1 + force / (area_1 + area_2), p2 - force / (area_1 + area_2)
+    if p1 < 0.0 or p2 < 0.0:
+        p1, p2 = max(force, 0.0) / area_1, max(-force, 0.0) / area_2
+    return new_state(x, p1, p2)
+
+
 @njit(forceinline=True)
 def input_at(u, pieces, place):
     """Return an input at ``place`` samples after the first.

@@ -10,9 +10,10 @@ from eha_monitor.estimation.modelled import contributions_along
 from eha_monitor.mismatch.data.experiment import BURN_IN, Experiment, Stretch
 from eha_monitor.mismatch.data.inputs import CLOSED, FORCED, cubics
 from eha_monitor.mismatch.likelihood.fit import Fit, free_run
+from eha_monitor.physics import plant
 from eha_monitor.physics import signals as s
 from eha_monitor.physics.contributions import circuit_of, new_memory
-from eha_monitor.physics.plant import N_OUTPUTS, Y_P1, Y_P2, Step, actuator_of, new_state, sense
+from eha_monitor.physics.plant import N_OUTPUTS, Y_P1, Y_P2, Step, actuator_of, sense
 from eha_monitor.physics.simulator import demanded_position, total_duration
 from eha_monitor.settings.rig import Segment
 
@@ -215,9 +216,9 @@ def demanded(experiment: Experiment, fit: Fit, name: str, x_d: np.ndarray) -> Ex
 
 def at_rest(fit: Fit, x_d: float) -> np.ndarray:
     """Return a model's state at rest where the drive reads ``x_d`` m, (N_STATE,)."""
-    theta, w = fit.theta, circuit_of(fit.theta, fit.active)
-    charge, scale = theta[s.P_CHARGE], w[s.POSITION_SCALE] if w[s.IN_LOOP] else 0.0
-    return new_state(x_d / (1.0 + scale), charge, charge * theta[s.AREA_1] / theta[s.AREA_2])
+    w = circuit_of(fit.theta, fit.active)
+    scale = w[s.POSITION_SCALE] if w[s.IN_LOOP] else 0.0
+    return plant.at_rest(fit.theta, fit.active, x_d / (1.0 + scale))
 
 
 def forced(experiment: Experiment, fit: Fit, limits: Limits, motion: Motion) -> Experiment:
