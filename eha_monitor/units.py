@@ -16,7 +16,8 @@ _PINT = {"1": "dimensionless", "N·s/m": "N*s/m", "m³": "m**3", "m²": "m**2",
          "kg·m²": "kg*m**2", "N·m·s/rad": "N*m*s/rad", "N·m/rad": "N*m/rad", "N·m": "N*m"}
 # Units of the numbers of a rig that turns, by those of one that moves along a line.
 TURNING = {"m": "rad", "m²": "m³/rad", "kg": "kg·m²", "N·s/m": "N·m·s/rad",
-           "rad/(s·m)": "1/s", "N/m": "N·m/rad", "N": "N·m"}
+           "rad/(s·m)": "1/s", "N/m": "N·m/rad", "N": "N·m", "m/s": "rad/s",
+           "m/s²": "rad/s²"}
 
 _COMMA = re.compile(r"\d,\d")
 _REV = re.compile(r"(?<=/)\s*rev\b")  # as pumps are sold: 1.6 cm^3/rev
@@ -85,8 +86,9 @@ def Si(unit: str, description: str, *, optional: bool = False, absolute: bool = 
 
 
 def _of_motion(unit: str, info: ValidationInfo) -> str:
-    """Return the unit, of a section that says ``motion: rotary`` (before) the one that turns."""
-    return TURNING.get(unit, unit) if info.data.get("motion") == "rotary" else unit
+    """Return the unit; of a rig that its section (before) or the context says to turn, that."""
+    motion = info.data.get("motion") or (info.context or {}).get("motion")
+    return TURNING.get(unit, unit) if motion == "rotary" else unit
 
 
 class Section(BaseModel):

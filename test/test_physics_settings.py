@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from eha_monitor.errors import InputError
@@ -124,6 +125,19 @@ def test_a_number_that_has_lost_its_unit_is_refused(tmp_path, written, key, word
         load_settings(tmp_path / "my.yaml")
     line = str(caught.value)
     assert f"my.yaml: {key}: " in line and words in line and "\n" not in line
+
+
+def test_every_section_of_a_rig_that_turns_takes_its_units():
+    found = settings_from_tree({
+        "rig": {"motion": "rotary", "viscous_damping": "24 N*m*s/rad"},
+        "experiment": {"lower": "-50 deg", "upper": "0.9 rad", "speed": "90 deg/s",
+                       "acceleration": "20 rad/s^2"},
+        "thresholds": {"viscous_damping": {"high_warn": "40 N*m*s/rad"}}}, "x")
+    assert found.experiment.lower == pytest.approx(-np.deg2rad(50.0))
+    assert found.experiment.speed == pytest.approx(0.5 * np.pi)
+    assert found.thresholds.viscous_damping.high_warn == 40.0
+    with pytest.raises(InputError, match="in rad, got '5 mm'"):
+        settings_from_tree({"rig": {"motion": "rotary"}, "experiment": {"lower": "5 mm"}}, "x")
 
 
 @pytest.mark.parametrize("written, value", [

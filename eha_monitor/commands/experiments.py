@@ -68,7 +68,8 @@ def identify(ros_args: list[str], config: Path | None, simulated: Path | None, o
     bounds = bounds_of(given.settings, source)
     planner = Planner(given.settings, bounds, source, probability)
     if dry_run:
-        show_first(planner, out / "planned", overwrite)
+        with rig_motion(given.settings.rig.motion):
+            show_first(planner, out / "planned", overwrite)
         return
     command = " ".join(["eha-monitor identify", *(f"{option} {shlex.quote(str(value))}"
                         for option, value in (("--config", config), ("--simulate", simulated))

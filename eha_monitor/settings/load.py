@@ -131,7 +131,9 @@ def check_units(tree: dict, source: str) -> None:
 def validated(model: type[Model], tree: dict, source: str | Path) -> Model:
     """Return the model of a tree, or say in one line what is wrong first."""
     try:
-        return model.model_validate(tree)
+        rig = tree.get("rig")
+        motion = rig.get("motion") if isinstance(rig, dict) else None
+        return model.model_validate(tree, context={"motion": motion})
     except ValidationError as problem:
         line = " ".join(_one_line(model, problem).split())[:400]  # keys may hold line breaks
         raise InputError(f"{source}: {line}") from None
