@@ -42,7 +42,8 @@ KEYS = (*NEEDED, "motion_time", "total_time", "silence", "command_lead")
 
 @pytest.mark.parametrize("effects", [
     {"pressure_offset": {"b_1": 4e4, "b_2": 0.0}}, {"pressure_scale": {"k_1": 0.05, "k_2": 0.0}},
-    {"position_scale": {"k": 0.05}}, {"position_scale": {"k": 0.05, "in_loop": 1.0}}])
+    {"position_scale": {"k": 0.05}}, {"position_scale": {"k": 0.05, "in_loop": 1.0}},
+    {"constant_load": {"F_0": 400.0}, "spring_load": {"k": 8e3, "x_0": -0.03}}])
 def test_a_planned_rest_is_one_whatever_the_sensors_show(effects):
     """Other readings would push the piston, and seem to tell models apart."""
     settings = rig_settings(effects=effects)
@@ -50,6 +51,10 @@ def test_a_planned_rest_is_one_whatever_the_sensors_show(effects):
     fit = unfitted(experiment)
     rest = demanded(experiment, fit, "rest", np.full(2000, 0.01))
     shown = free_run(rest, rest.stretches[0], fit)
+    if "constant_load" in effects:  # a leak moves the mean pressure, slowly
+        assert np.ptp(shown[:, 0]) < 2e-6 and np.ptp(shown[:, 2]) < 2e4
+        assert abs(np.mean(shown[:, 2] - shown[:, 3]) * settings.rig.area_1 - 720.0) < 5.0
+        return
     assert np.ptp(shown[:, 0]) < 1e-9 and np.ptp(shown[:, 2]) < 1.0 and np.ptp(shown[:, 3]) < 1.0
 
 
@@ -64,6 +69,17 @@ def test_where_no_set_follows_another_motion_is_run_and_least_squares_decide_not
     found = SimpleNamespace(verdict="mismatch", effects=(effect,), probability={}, advice=())
     last = by_least_squares(Round(first, None, 3.0, found))
     assert (last.names, last.probability, last.end) == ({"coulomb_friction"}, 0.95, "balances")
+
+
+def test_why_no_motion_is_left_is_told_apart():
+    settings = load_settings(CONFIG)
+    bounds = bounds_of(settings, CONFIG)
+    planner = Planner(settings, bounds, CONFIG)
+    assert planner.best(planner.blank, 0.0, 0.1) is None
+    assert planner.binding["total_time"] > 0
+    slow = Planner(settings, bounds.model_copy(update={"acceleration": 1e-4}), CONFIG)
+    assert slow.best(slow.blank, 0.0, 60.0) is None
+    assert slow.binding and not slow.binding["total_time"]
 
 
 def test_a_rest_that_shows_nothing_is_followed_by_a_motion(monkeypatch):

@@ -11,6 +11,7 @@ from scipy.signal import savgol_coeffs
 
 from eha_monitor.errors import InputError
 from eha_monitor.identify.plan import (
+    TOTAL,
     WORTH,
     Contest,
     Planned,
@@ -294,6 +295,7 @@ def seen(experiment: Experiment, fit: Fit) -> Fit:
 
 
 DECIDED, INSEPARABLE, TIME, ABORTED = "decided", "inseparable", "time", "aborted"
+LIMITS = "limits"
 BALANCES = "balances"
 FEW = 0.05  # probability of all rivals together, below which what has no model yet is looked for
 
@@ -408,7 +410,10 @@ def following(planner: Planner, naming: Naming, now: Round, position: float) -> 
     contest = Contest(naming.experiment, structures, explained=naming.evidence)
     planned = planner.best(contest, position, planner.bounds.total_time - now.seconds)
     if planned is None:
-        return replace(now, end=TIME)
+        binds = planner.binding.most_common(1)
+        if not binds or planner.binding[TOTAL]:
+            return replace(now, end=TIME)
+        return replace(now, end=LIMITS, would=(binds[0][0],))
     if planned.at_last > planned.now + WORTH:
         return replace(now, following=planned)
     return replace(now, end=INSEPARABLE, would=otherwise(contest, planned.x_d, planner.bounds))
@@ -462,6 +467,8 @@ def round_words(one: Round, count: int, dt: float) -> str:
     would = f"; what would: {'; '.join(one.would)}" if one.would else ""
     return f"{head}. " + {
         DECIDED: "Decided",
+        LIMITS: "By the models that may yet be right no motion keeps the limits; what binds is "
+                f"{''.join(one.would)}",
         TIME: "The time is up: no motion fits into what is left of it",
         BALANCES: "This is the answer of least squares on the balances: no set of effects "
                   "explains all that the filter sees, so that no motion can be planned to decide "

@@ -293,6 +293,9 @@ def form_error(one: Structure, other: Structure, explained: Mapping[str, float])
     return POLICY.law * max(explained.get(name, 0.0) for name in one.names ^ other.names)
 
 
+TOTAL = "total_time"  # limit that leaves no motion where the time is up
+
+
 class Planner:
     """Plans motions of a rig within limits.
 
@@ -305,7 +308,7 @@ class Planner:
     def __init__(self, settings: Settings, bounds: Bounds, source: str, wanted: float = 0.95):
         rig = settings.rig
         self.settings, self.bounds, self.source = settings, bounds, source
-        # binding: how often which limit left no size of a motion
+        # binding: how often which limit left no size of the motions that were planned last
         self.wanted, self.binding = wanted, Counter()
         per_speed = rig.area_1 / rig.pump_displacement
         self.limits = Limits(0.5 * (bounds.lower + bounds.upper),
@@ -341,13 +344,20 @@ class Planner:
 
     def best(self, contest: Contest, position: float, left: float, ran: Collection[str] = ()
              ) -> Planned | None:
-        """Return the motion to run next, none of ``ran``; None where none fits into ``left`` s."""
+        """Return the motion to run next, none of ``ran``; None where none fits into ``left`` s.
+
+        Or none keeps the limits; ``binding`` says then what binds.
+        """
         found: list[Planned] = []
+        self.binding.clear()
         for motion in candidates(self.limits):
             if motion.name in ran:
                 continue
             one = self.within(contest, motion, position)
-            if one is None or len(one.x_d) * contest.experiment.dt > left:
+            if one is None:
+                continue
+            if len(one.x_d) * contest.experiment.dt > left:
+                self._without(TOTAL)
                 continue
             gram = contest.told_by(without_noise(
                 demanded(contest.experiment, contest.fit, motion.name, one.x_d), contest.fit))

@@ -13,7 +13,7 @@ from eha_monitor.mismatch.likelihood.fit import Fit, free_run
 from eha_monitor.physics import plant
 from eha_monitor.physics import signals as s
 from eha_monitor.physics.contributions import circuit_of, new_memory
-from eha_monitor.physics.plant import N_OUTPUTS, Y_P1, Y_P2, Step, actuator_of, sense
+from eha_monitor.physics.plant import N_OUTPUTS, Y_OMEGA, Y_P1, Y_P2, Step, actuator_of, sense
 from eha_monitor.physics.simulator import demanded_position, total_duration
 from eha_monitor.settings.rig import Segment
 
@@ -215,10 +215,18 @@ def demanded(experiment: Experiment, fit: Fit, name: str, x_d: np.ndarray) -> Ex
 
 
 def at_rest(fit: Fit, x_d: float) -> np.ndarray:
-    """Return a model's state at rest where the drive reads ``x_d`` m, (N_STATE,)."""
-    w = circuit_of(fit.theta, fit.active)
+    """Return a model's state at rest where ``x_d`` m is demanded, (N_STATE,).
+
+    The pump makes up for what leaks under a load, and the piston stands off for that.
+    """
+    theta, w = fit.theta, circuit_of(fit.theta, fit.active)
     scale = w[s.POSITION_SCALE] if w[s.IN_LOOP] else 0.0
-    return plant.at_rest(fit.theta, fit.active, x_d / (1.0 + scale))
+    y = plant.at_rest(theta, fit.active, x_d / (1.0 + scale))
+    omega = 0.5 * theta[s.C_T] * (y[Y_P1] - y[Y_P2]) / theta[s.D_P]
+    if np.isfinite(theta[s.K_POS]):
+        y = plant.at_rest(theta, fit.active, (x_d - omega / theta[s.K_POS]) / (1.0 + scale))
+        y[Y_OMEGA] = omega
+    return y
 
 
 def forced(experiment: Experiment, fit: Fit, limits: Limits, motion: Motion) -> Experiment:
