@@ -8,14 +8,16 @@ from hold_parts.plant import Motion, Noise, Rig, recorded
 from mismatch_tools import fitted
 
 from eha_monitor.balances.baseline import baseline
-from eha_monitor.mismatch.answer import as_configured
+from eha_monitor.mismatch.answer import as_configured, named_effect
 from eha_monitor.mismatch.data.experiment import experiment_of
 from eha_monitor.mismatch.diagnosis import Gate, NamedEffect, SignalFit, Value
+from eha_monitor.mismatch.likelihood.along import filtered_tracks
 from eha_monitor.mismatch.likelihood.fit import Free
 from eha_monitor.mismatch.likelihood.gains import smallest_unknowns
 from eha_monitor.mismatch.name.columns import rig_free
 from eha_monitor.mismatch.name.finalists import not_needed, without_along
 from eha_monitor.mismatch.name.gates import at_bound, ends_of_tolerance, failures, too_small
+from eha_monitor.mismatch.name.naming import Naming
 from eha_monitor.mismatch.name.nominal import nominal, with_rig
 from eha_monitor.mismatch.name.posterior import Refits, refused_evidence
 from eha_monitor.mismatch.name.refit import settled, wide
@@ -109,6 +111,17 @@ def test_a_member_with_a_threshold_is_refused_where_a_refit_without_it_is_no_wor
     assert failed and {one.gate for one in failed} <= {"member", "bound"}
     left = not_needed(here.experiment, refits, names, failed)
     assert (left == []) == (concealed == "anti_cavitation")
+
+
+def test_sizes_of_which_only_a_combination_is_known_say_so():
+    experiment, fit = with_start("pressure_offset")
+    tracks, said = filtered_tracks(experiment, fit), []
+    for stddev in (1.0, 1e6):  # Pa
+        there = replace(fit, covariance=stddev**2 * np.eye(len(fit.free)))
+        naming = Naming(experiment, there, there, evidence={"pressure_offset": 1.0})
+        said.append(named_effect(experiment, naming, "pressure_offset", tracks).statement)
+    assert "combination" not in said[0]
+    assert said[1].startswith(said[0]) and "each alone is ± 1" in said[1]
 
 
 def test_a_shape_without_length_is_no_failure():

@@ -354,6 +354,11 @@ def named_effect(experiment: Experiment, naming: Naming, name: str, tracks: list
             stddev = model.stated_stddev(experiment, fit, key) if key in fitted else 0.0
             parameters[p.name] = Value(value, stddev, p.unit.replace("*", "·"))
     said = entry.said(numbers) + held_command(name, parameters, experiment.dt)
+    sizes = [parameters[p.name] for p in entry.sizes if p.name in parameters]
+    if len(sizes) > 1 and all(abs(one.value) < experiment.policy.sure * one.stddev
+                              for one in sizes):
+        said += ", of which only a combination is known: each alone is ± " + listed(list(
+            dict.fromkeys(quantity(one.stddev, one.unit, 2) for one in sizes)), "or")
     if gone := [effect_words(one) for one in model.replaced(experiment, fit)
                 if one in entry.contains]:
         said += f", in place of the config's {listed(gone)}"
