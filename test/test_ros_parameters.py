@@ -9,10 +9,18 @@ from rclpy.parameter_client import AsyncParameterClient
 from ros_tools import Recorder
 
 from eha_monitor.ros.monitor_node import Monitor
-from eha_monitor.ros.parameters import MONITOR_KEYS, SIMULATOR_KEYS, declare
+from eha_monitor.ros.parameters import MONITOR_KEYS, SIMULATOR_KEYS, declare, overridden
 from eha_monitor.settings import Settings, settings_from_tree
 
 HIGH, LOW = "thresholds.bulk_modulus.high_warn", "thresholds.viscous_damping.low_warn"
+
+
+def test_a_channel_that_is_null_stays_so():
+    """The default came back with any change, and the monitor waited for it for ever."""
+    given = settings_from_tree({"channels": {"x": {"topic": "/a"}, "omega": None}}, "x")
+    there = overridden(given, {"monitor.namespace": "/b"}, "x")
+    assert "omega" not in there.channels and there.channels == given.channels
+    assert settings_from_tree(given.model_dump(), "x") == given
 
 
 class Shell:

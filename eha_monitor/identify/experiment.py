@@ -297,6 +297,7 @@ def seen(experiment: Experiment, fit: Fit) -> Fit:
 DECIDED, INSEPARABLE, TIME, ABORTED = "decided", "inseparable", "time", "aborted"
 LIMITS = "limits"
 BALANCES = "balances"
+FOLLOWS = 0.05  # of a demand: a piston that moves by less does not follow it
 FEW = 0.05  # probability of all rivals together, below which what has no model yet is looked for
 
 
@@ -354,9 +355,9 @@ def identify(rig: Rig, planner: Planner,
         recordings.append(ran.recording)
         motions.append(planned)
         answer = diagnose_and_name(recordings, planner.settings, say, known)
-        # A rest alone may show nothing.
-        if answer.diagnosis.verdict == "insufficient_data" and any(
-                np.ptp(one.x_d) > 0.0 for one in motions):
+        # A rest alone may show nothing, and so may a motion that is too quick.
+        if answer.diagnosis.verdict == "insufficient_data" and not follows(
+                planned.x_d, ran.recording):
             raise InputError(f"{ran.recording.source}: {answer.diagnosis.message}; expected a "
                              "piston that follows the command")
         one = judged(planned, ran, seconds, answer)
@@ -371,6 +372,12 @@ def identify(rig: Rig, planner: Planner,
             one = by_least_squares(one)
         planned = one.following
         yield one
+
+
+def follows(x_d: np.ndarray, recording: Recording) -> bool:
+    """Tell whether the piston has moved by ``FOLLOWS`` of what was demanded, (n,) m, or by any."""
+    x = recording.channels.get("x", np.zeros(1))
+    return bool(np.nanmax(x) - np.nanmin(x) >= FOLLOWS * np.ptp(x_d))
 
 
 def judged(planned: Planned, ran: Ran, seconds: float, answer: Answered) -> Round:

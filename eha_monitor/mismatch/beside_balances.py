@@ -43,6 +43,8 @@ def instead_of_filter(first: Diagnosis, filtered: Filtered, recordings: list[Rec
                       settings: Settings, asked: Asked) -> Diagnosis | None:
     """Return what least squares answer where it stands, not what a filter does; None elsewhere."""
     found = filtered.answer
+    if first.verdict == "insufficient_data":  # of motions too quick for its band it says nothing
+        return None
     judges = recordings if asked.held_out is None else [asked.held_out]
     agrees = agrees_closely(first)
     beyond = far_from_config(first) or bool(first.learned) or drifts(first)

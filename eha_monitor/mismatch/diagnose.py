@@ -124,8 +124,10 @@ def _diagnosed(recordings: list[Recording], settings: Settings, held_out: Record
     # Several say more together than a filter of one law can.
     if far and first.machine is not None and known is None:
         return Answered(by_first(first, started), None, False)
-    # What least squares say stands where no set of laws brings a filter near the recording.
-    stands = hypothesis is None and first is not None and (far or not force_is_closed(first))
+    # What least squares say stands where no set of laws brings a filter near the recording; of
+    # motions too quick for their band they say nothing.
+    stands = hypothesis is None and first is not None and (
+        first.verdict != "insufficient_data") and (far or not force_is_closed(first))
     held, decision = resolved(recordings, settings)
 
     def search(without_own: tuple[str, ...] = ()) -> Searched:

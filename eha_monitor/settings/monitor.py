@@ -2,7 +2,7 @@
 
 from typing import Annotated, Literal
 
-from pydantic import BeforeValidator, Field, create_model, model_validator
+from pydantic import BeforeValidator, Field, create_model, field_serializer, model_validator
 
 from eha_monitor.settings.channels import (
     CHANNEL_ABOUT,
@@ -324,6 +324,12 @@ class Settings(Section):
     effects: Annotated[dict[str, dict[str, float | str | list[float]]],
                        BeforeValidator(effects_field)] = Field(
         {}, description="modelled physics beyond the linear model")
+
+    @field_serializer("channels", mode="wrap")
+    def _and_those_that_are_absent(self, channels, written):
+        """A default channel that is null stays so where the settings are read back."""
+        return {name: None for name in DEFAULT_CHANNELS if name not in channels} | written(
+            channels)
 
     @property
     def frame_id(self) -> str:
