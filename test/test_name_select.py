@@ -9,10 +9,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from mismatch_tools import case_of, diagnosed, fitted, recorded
+from rig_tools import MULTISINE, simulated
 
 from eha_monitor.concealed.cases import Case
 from eha_monitor.mismatch.data.experiment import experiment_of
-from eha_monitor.mismatch.likelihood.fit import remade
+from eha_monitor.mismatch.likelihood.fit import remade, with_unknowns
 from eha_monitor.mismatch.name.candidates import log_prior
 from eha_monitor.mismatch.name.columns import rig_free
 from eha_monitor.mismatch.name.finalists import finish, lesser, without_each
@@ -39,7 +40,14 @@ from eha_monitor.mismatch.name.refit import (
     unfitted,
     wide,
 )
-from eha_monitor.mismatch.name.select import Manner, Search, far_off, next_place, unbent
+from eha_monitor.mismatch.name.select import (
+    Manner,
+    Search,
+    afresh,
+    far_off,
+    next_place,
+    unbent,
+)
 from eha_monitor.mismatch.name.starts import starts_of, with_effect
 from eha_monitor.mismatch.policy import POLICY
 from eha_monitor.physics.parameters import place_of
@@ -498,3 +506,18 @@ def test_beside_closed_balances_a_round_that_gains_nothing_is_the_last(found):
         assert turn == 1 and place[0] == frozenset() and place[1] is not case.before
         place = next_place(search, 2)
     assert place is None and search.vain is not found
+
+
+def test_a_fit_that_broke_down_is_begun_again_from_the_config():
+    """A position some samples late: under large unknowns the filter runs away."""
+    run = simulated(MULTISINE, 3.0, effects={"position_delay": {"T": 0.007}})
+    experiment = experiment_of([run.recording(1)], run.config.model_copy(update={"effects": {}}))
+    start = replace(starts_of("position_delay", experiment)[0], values=(("T", 0.006),))
+    loose = with_effect(unfitted(experiment, 100.0), start, ())
+    broken = settled(experiment, with_unknowns(experiment, loose, loose.unknowns))
+    assert not np.isfinite(broken.log_likelihood)
+    found = afresh(experiment, broken)
+    assert found.value("position_delay.T") == pytest.approx(0.007, rel=0.01)
+    assert found.value("B") == pytest.approx(600.0, rel=0.01)
+    other = replace(broken, named=("position_delay", "rig.mass"))
+    assert afresh(experiment, other) is other

@@ -107,6 +107,7 @@ class SelfDiagnosis:
         self._waits = self._waits if self._waits == SERVICE else ""
         self._since_s: float | None = None
         self._tries, self._explained = 0, False
+        self._ended_s = -np.inf  # when the last diagnosis of it ended
         # what the last diagnosis says of the mismatch that stands; None before one
         self.of_mismatch: Answer | None = None
         self._same: list[Path] = []  # bags of this mismatch, of one state as far as is known
@@ -145,7 +146,7 @@ class SelfDiagnosis:
             self._since_s = min(one.since_s for one in model.mismatches)
         wanted = self._settings.diagnosis
         wait = min(wanted.after * 2**self._tries, LONGEST_S)
-        if (wanted.start == AUTOMATIC and now_s - self._since_s >= wait
+        if (wanted.start == AUTOMATIC and now_s - max(self._since_s, self._ended_s) >= wait
                 and not self._explained and self._keeper.ring is not None):
             if not self._busy:
                 self._begin(AUTOMATIC)
@@ -283,14 +284,16 @@ class SelfDiagnosis:
     def _ended(self, answer: Answer) -> None:
         """Tell what came of a diagnosis; an answer of before stands where there is none."""
         TURN.give_back(self)
+        self._ended_s = self._now_s
         if answer.problem:
             self._tell(answer.problem, "WARN")
         else:
             self._answer = answer
             self.of_mismatch = None if self._since_s is None else answer
             self._explained = self.of_mismatch is not None and self._adoptable() is None
-            if answer.completed is None and answer.verdict != "consistent":
-                # They may hold the change itself; what comes after is diagnosed by itself.
+            if answer.completed is None:
+                # They may hold the change itself, or are the machine before it; what comes after
+                # is diagnosed by itself.
                 self._same.clear()
             elif answer.tree["change_points"]:  # those before are of another state
                 self._same = self._same[-1:]

@@ -8,7 +8,12 @@ import numpy as np
 from eha_monitor import ties
 from eha_monitor.mismatch.data.experiment import Experiment
 from eha_monitor.mismatch.likelihood.fit import Fit, likeliest, spread, with_unknowns
-from eha_monitor.mismatch.name.before import FirstView, beyond_config, informative
+from eha_monitor.mismatch.name.before import (
+    FirstView,
+    beyond_config,
+    informative,
+    with_effects,
+)
 from eha_monitor.mismatch.name.columns import FAR_OFF, LOOSE, columns_at, rig_free
 from eha_monitor.mismatch.name.finalists import (
     CLOSE,
@@ -47,6 +52,8 @@ from eha_monitor.mismatch.name.refit import (
     settled,
     unfitted,
 )
+from eha_monitor.physics.effects import CATALOGUE
+from eha_monitor.physics.parameters import effect_values
 from eha_monitor.progress import Report, silent
 
 CATCHING_UP = 0.9  # of the best refitted set's gain, after a few steps, to be fitted to the end
@@ -208,8 +215,26 @@ def refit(experiment: Experiment, view: Linearised, chosen: list[Ranked], refits
              if made.log_likelihood >= base + CATCHING_UP * (reach - base)][:MOST_GOING]
     refits.dropped.update((frozenset(made.named), made) for made in looks[::-1]
                         if all(made is not one for one in going))
-    for made in spread(lambda made: settled(experiment, made, view.slopes), going):
+    def ended(made: Fit) -> Fit:
+        done = settled(experiment, made, view.slopes)
+        return done if np.isfinite(done.log_likelihood) else afresh(experiment, made)
+
+    for made in spread(ended, going):
         refits.add(experiment, frozenset(made.named), made)
+
+
+def afresh(experiment: Experiment, broken: Fit) -> Fit:
+    """Return a model whose fit broke down, with its effects fitted from the config itself.
+
+    Large unknowns make a filter quick, and a quick one of a sensor that is some samples late runs
+    away; what is wrong beside it bends the rig's numbers to the ends of their tolerances.
+    """
+    if not set(broken.named) <= CATALOGUE.keys():
+        return broken
+    bare = unfitted(experiment, 1.0)
+    start = with_effects(experiment, with_rig(experiment, bare), {
+        name: effect_values(broken.theta, name) for name in broken.named})
+    return settled(experiment, with_unknowns(experiment, start, bare.unknowns))
 
 
 def begun(experiment: Experiment, say: Report = silent, manner: Manner = PLAINLY,
