@@ -264,7 +264,7 @@ def test_an_experiment_decides_within_its_limits(tmp_path, capsys):
                  "--out", str(tmp_path / "bags"), "--json", str(answer), "--report",
                  str(tmp_path / "r.html"), "--write-config", str(config)]) == 0
     out = capsys.readouterr().out
-    assert "so far: quadratic friction, 9" in out and "Decided" in out
+    assert ": quadratic friction, 9" in out and "Decided" in out
     found = json.loads(answer.read_text(encoding="utf-8"))
     assert found["schema"] == "eha_monitor/identify/1" and found["end"] == "decided"
     assert found["names"] == ["quadratic_friction"] and found["probability"] >= 0.95

@@ -129,7 +129,7 @@ def test_the_command_decides_over_dds_and_waits_to_be_told(graph, tmp_path):
         assert not caller.trigger("/eha/identify/start").success
         out, err = process.communicate(timeout=400)
     assert process.returncode == 0, err
-    assert "so far: quadratic friction, 9" in out and "Decided" in out
+    assert ": quadratic friction, 9" in out and "Decided" in out
     assert json.loads(answer.read_text(encoding="utf-8"))["end"] == "decided"
 
 

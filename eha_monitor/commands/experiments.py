@@ -5,6 +5,7 @@ the key, and scores the diagnosis.
 """
 
 import shlex
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -80,8 +81,13 @@ def identify(ros_args: list[str], config: Path | None, simulated: Path | None, o
     def experiment(rig: "Rig") -> str:
         with rig_motion(given.settings.rig.motion):  # of this thread
             with common.progress_bar() as told:
+                def say(text: str, share: float) -> None:
+                    told(text, share)
+                    if text.startswith("motion") and not sys.stderr.isatty():
+                        click.echo(text)  # where no bar shows that it is at work
+
                 for one in rounds_of(rig, planner, lambda recording: checked(
-                        [recording], given.settings), told):
+                        [recording], given.settings), say):
                     rounds.append(one)
                     written(one, len(rounds), out, given.settings, overwrite)
                     answered(rounds, planner, out, command, targets, config)

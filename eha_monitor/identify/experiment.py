@@ -41,7 +41,7 @@ from eha_monitor.settings.monitor import Settings
 from eha_monitor.words import effect_words, listed
 
 NEEDED = ("lower", "upper", "speed", "acceleration", "pressure")
-LOOP = ("area_1", "area_2", "volume_1", "volume_2", "pump_displacement", "position_gain")
+LOOP = ("pump_displacement", "position_gain", "area_1", "area_2", "volume_1", "volume_2")
 CHANNELS = ("x", "p1", "p2")  # that are watched, where they come
 WINDOW = 0.02  # s over which speed and acceleration are taken from the position
 STANDING = 3  # samples beyond a limit before it counts: one may be a spike
@@ -59,7 +59,8 @@ def bounds_of(settings: Settings, source: str) -> Bounds:
     for key in LOOP:
         if getattr(rig, key) is None:
             raise InputError(f"{source}: rig.{key}: expected a number, as motions are planned "
-                             "with a model of the position loop")
+                             "with a model of a pump in a position loop; of an actuator behind a "
+                             "valve record motions of your own")
     if given.pressure <= rig.charge_pressure:
         raise InputError(f"{source}: experiment.pressure: expected more than the charge pressure "
                          f"of {quantity(rig.charge_pressure, 'Pa', 3)}, got "
@@ -342,7 +343,7 @@ def identify(rig: Rig, planner: Planner,
     recordings: list[Recording] = []
     known: list[Fit] = []
     motions: list[Planned] = []
-    seconds = 0.0
+    seconds, before = 0.0, None
     while planned is not None:
         number = len(motions) + 1
         say(f"motion {number}: {planned.motion.words}", 0.0)
@@ -364,7 +365,9 @@ def identify(rig: Rig, planner: Planner,
         if answer.naming is not None:
             known = [fit for names, fit, _ in answer.naming.tried if names]
             one = following(planner, answer.naming, one, rig.position())
-        else:  # no set explains it yet: another motion may show what is missing
+        elif (now := said_by(answer.diagnosis)) != before:
+            # No set explains it yet: another motion may show what is missing.
+            before = now
             one = replace(one, following=planner.best(
                 planner.blank, rig.position(), planner.bounds.total_time - seconds,
                 [one.motion.name for one in motions]))
@@ -372,6 +375,12 @@ def identify(rig: Rig, planner: Planner,
             one = by_least_squares(one)
         planned = one.following
         yield one
+
+
+def said_by(found: Diagnosis) -> tuple[str, frozenset[str]]:
+    """Return verdict and names of an answer."""
+    return found.verdict, frozenset(
+        [one.name for one in found.effects] + [one.key for one in found.rig_data])
 
 
 def follows(x_d: np.ndarray, recording: Recording) -> bool:
@@ -457,13 +466,18 @@ def plan_words(planned: Planned, dt: float) -> str:
 def round_words(one: Round, count: int, dt: float) -> str:
     """Return what stands after a motion, with which probability, and what is next and why."""
     what = one.planned.motion.words.replace("the speed of this recording", "full speed")
-    head = f"motion {count}, {what}, {number(one.seconds, 3)} s so far: "
+    head = f"motion {count}, {what}, {number(one.seconds, 3)} s so far"
+    if one.diagnosis is not None:
+        head += f", diagnosed in {one.diagnosis.wall_s:.0f} s"
+    head += ": "
     if one.end == ABORTED:
         return f"{head}aborted: {one.ran.aborted}; the position demanded last is held"
     if one.diagnosis is not None and one.diagnosis.verdict == "unexplained":
         head += "something that is not in the catalogue"
     elif not one.probability > 0.0:
         head += "no set of effects explains all that the filter sees yet"
+        if one.diagnosis is not None and one.end != BALANCES:
+            head += f"; least squares on the balances: {one.diagnosis.message}"
     else:
         head += f"{set_words(one.names)}, {percent(one.probability)}"
     if one.rivals:
