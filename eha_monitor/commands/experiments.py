@@ -68,6 +68,12 @@ def identify(ros_args: list[str], config: Path | None, simulated: Path | None, o
     source = str(config or "default config")
     bounds = bounds_of(given.settings, source)
     planner = Planner(given.settings, bounds, source, probability)
+    rig = given.settings.rig
+    lacking = sorted({"viscous_damping", "bulk_modulus"} - rig.model_fields_set)
+    if lacking and not rig.is_papers:
+        click.echo(f"{source}: {' and '.join(f'rig.{key}' for key in lacking)}: not given, so "
+                   "motions are planned with the paper's; `eha-monitor diagnose RECORDING "
+                   "--write-config FILE` writes this rig's")
     if dry_run:
         with rig_motion(given.settings.rig.motion):
             show_first(planner, out / "planned", overwrite)
