@@ -211,6 +211,10 @@ def test_rows_that_are_lost_make_nothing_faster(seed):
     watch = Watch(bounds(lower=-1.0, upper=1.0, speed=0.101, acceleration=1.0), 1e-3, 1e-6)
     for rows in np.array_split(np.flatnonzero(there), 11):
         assert not watch.exceeded({"x": 0.1 * at[rows]}, at[rows])
+    # Stamps that stand still are no stamps: rows count one each sample time.
+    same = Watch(bounds(lower=-1.0, upper=1.0, speed=0.101, acceleration=1.0), 1e-3, 1e-6)
+    for k in range(0, 1000, 10):
+        assert not same.exceeded({"x": 1e-4 * np.arange(k, k + 10)}, np.full(10, 5.0))
     later = at[-1] + 1e-3 * np.arange(1, 100)
     assert "speed of 200 mm/s" in watch.exceeded({"x": 0.2 * later - 0.1 * at[-1]}, later)
 

@@ -397,13 +397,17 @@ def test_a_load_that_is_the_weight_of_the_mass_that_came_is_one_payload():
     recording, settings = recorded(case_of("constant_load"))
     load = first_answer([recording], settings, Asked()).effects[0]
     force = replace(load, parameters={"F_0": Value(1250.0, 10.0, "N")})
-    config = {"constant_load": {"F_0": 269.3}}  # 100 kg less
+    config = settings.model_copy(update={
+        "effects": {"constant_load": {"F_0": 269.3}}})  # 100 kg less
     finding = RigFinding("mass", 50.0, Value(153.0, 2.0, "kg"), 1.0, "")
     (sentence,) = payload_sentences((force,), (finding,), config)
     assert "100 kg" in sentence
     mass = replace(load, name="added_mass", parameters={"dM": Value(97.0, 2.0, "kg")})
     assert payload_sentences((force, mass), (), config) == (sentence,)
-    assert payload_sentences((force, mass), (), {}) == ()  # 127 kg
+    assert payload_sentences((force, mass), (), settings) == ()  # 127 kg
+    turning = config.model_copy(update={"rig": config.rig.model_copy(update={
+        "motion": "rotary"})})
+    assert payload_sentences((force, mass), (), turning) == ()
     assert payload_sentences((force,), (), config) == payload_sentences((mass,), (), config) == ()
 
 

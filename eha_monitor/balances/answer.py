@@ -58,9 +58,10 @@ from eha_monitor.mismatch.diagnosis import (
     SignalFit,
     Value,
     health_sentences,
+    moved_words,
     payload_sentences,
 )
-from eha_monitor.quantity import quantity, share, side_by_side, with_uncertainty
+from eha_monitor.quantity import quantity, share, with_uncertainty
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings.hypothesis import Hypothesis
 from eha_monitor.settings.monitor import Settings
@@ -246,7 +247,7 @@ def _composed(models: Sequence[Model], courses: Sequence[Course], settings: Sett
         # What a balance lacks bends its own parameter; least squares on the other do not see it.
         health=tuple(sentence for name, value in before.items() for sentence in health_sentences(
             {name: value}, after, [e for e in effects if e.balance == BALANCE_OF[name]])
-        ) + warmed + payload_sentences(effects, wrong, settings.effects),
+        ) + warmed + payload_sentences(effects, wrong, settings),
         drift=drift,
         config_effects=config_effects(models, effects, settings, newest) | {
             f"learned_{term.adds}": term.entry for term in learned.values()},
@@ -289,11 +290,8 @@ def _agreeing_words(models: Sequence[Model], rig: Rig, within: Sequence[RigFindi
             for one in models for term in one.terms
             if term.candidate.held and within_tolerance(term, rig, policy)
             for value, stddev in [term.quantity] if policy.sure(value, stddev)]
-    moved = [f"{key} is {other}, where it has {given}" for key, configured, found in off
-             for given, other in [side_by_side(configured, found.value, found.stddev,
-                                               found.unit)]]
     return "the config's own model explains the balances of this recording" + (
-        f", if {listed(moved)} (within three tolerances)" if moved else "") + (
+        f", if {moved_words(off)}" if off else "") + (
         f" but for {listed(left)}, of which no effect of the catalogue explains more" if left
         else "")
 

@@ -101,21 +101,21 @@ class Watch:
         Missing samples (NaN) are left out, those of a channel that does not come are not asked.
         A gap is bridged by a straight line, and one longer than ``WINDOW`` s begins anew.
 
-        ``at`` : (n,) stamps of the samples, s; None where they come one each sample time.
+        ``at`` : (n,) stamps of the samples, s; None, or stamps that do not go on, where they come
+        one each sample time.
         """
         for name in CHANNELS:
             values = channels.get(name)
             if values is None:
                 continue
             before = self._kept.get(name, np.empty((0, 2)))
-            if at is None:
-                last = before[-1, 0] if len(before) else 0.0
-                times = last + self._dt * np.arange(1, len(values) + 1)
-            else:
-                times = at
+            last = before[-1, 0] if len(before) else 0.0
+            goes_on = (at is not None and (at[0] > last or not len(before))
+                       and (np.diff(at) > 0.0).all())
+            times = at if goes_on else last + self._dt * np.arange(1, len(values) + 1)
             there = np.isfinite(values)
             rows = np.concatenate([before, np.column_stack([times, values])[there]])
-            gaps = np.flatnonzero(~(np.diff(rows[:, 0]) <= WINDOW + self._dt))
+            gaps = np.flatnonzero(np.diff(rows[:, 0]) > WINDOW + self._dt)
             rows = rows[gaps[-1] + 1 if len(gaps) else 0:]
             if not len(rows):
                 continue
@@ -384,7 +384,7 @@ def said_by(found: Diagnosis) -> tuple[str, frozenset[str]]:
 
 
 def follows(x_d: np.ndarray, recording: Recording) -> bool:
-    """Tell whether the piston has moved by ``FOLLOWS`` of what was demanded, (n,) m, or by any."""
+    """Tell whether the piston has moved by ``FOLLOWS`` of what was demanded, (n,) m."""
     x = recording.channels.get("x", np.zeros(1))
     return bool(np.nanmax(x) - np.nanmin(x) >= FOLLOWS * np.ptp(x_d))
 

@@ -31,6 +31,7 @@ from eha_monitor.mismatch.diagnosis import (
     Value,
     health_sentences,
     intermittent_load,
+    moved_words,
     payload_sentences,
 )
 from eha_monitor.mismatch.learn.validated import (
@@ -287,7 +288,7 @@ def _record(recordings: Sequence[Recording], draft: _Draft, baselines: tuple[Bas
         *known, "held_out_bag" if other_bag else "held_out", draft.signals, curves,
         show.overlays(draft.shown, before, after), considered_of(naming, draft.test, told),
         parts, health_sentences(*known, draft.effects) + payload_sentences(
-            draft.effects, draft.wrong, experiment.settings.effects),
+            draft.effects, draft.wrong, experiment.settings),
         advise.advice_for(experiment, draft.asked),
         model.config_effects(experiment, after, draft.refitted,
                        (told.name, told.entry) if told is not None else None),
@@ -410,10 +411,11 @@ def rivals_of(experiment: Experiment, naming: Naming, name: str) -> tuple[str, .
 def message_of(draft: _Draft, where: Location) -> str:
     """Return the verdict in a sentence."""
     if draft.verdict == "consistent":
-        parts = []
-        if draft.within:
-            keys = listed([one.key for one in draft.within])
-            parts.append(f"{keys} moved within the tolerance")
+        parts, tolerance = [], draft.experiment.settings.rig.tolerance
+        far = [one for one in draft.within if abs(np.log(one.found.value / one.configured))
+               > tolerance.log_spread(one.key)]
+        if near := [one.key for one in draft.within if one not in far]:
+            parts.append(f"{listed(near)} moved within the tolerance")
         if draft.as_written:
             own = listed([effect_words(name) for name in draft.as_written])
             parts.append(f"its {own} refitted")
@@ -421,7 +423,9 @@ def message_of(draft: _Draft, where: Location) -> str:
             parts.append(listed([f"a {effect_words(one.name)} of {one.size}"
                                  for one in draft.unnoticed]))
         moved = f", with {' and '.join(parts)}," if parts else ""
-        return f"the nominal model{moved} explains this recording down to the sensors' noise"
+        return f"the nominal model{moved} explains this recording down to the sensors' noise" + (
+            f", if {moved_words([(one.key, one.configured, one.found) for one in far])}"
+            if far else "")
     if draft.verdict == "mismatch":
         return "; ".join(one.statement for one in (*draft.wrong, *draft.effects))
     balance = ties.best(where.balance, where.balance.get)

@@ -1,7 +1,7 @@
 """What a diagnosis says; immutable records, made by :mod:`name`, :mod:`locate`, :mod:`show`."""
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -12,7 +12,8 @@ from eha_monitor.balances.machine import Machine
 from eha_monitor.balances.policy import POLICY
 from eha_monitor.quantity import quantity, share, side_by_side
 from eha_monitor.recordings.recording import ChannelFinding
-from eha_monitor.words import effect_words
+from eha_monitor.settings.monitor import Settings
+from eha_monitor.words import effect_words, listed
 
 INTERMITTENT = "intermittent_load"  # a load that comes and goes
 VERDICTS = ("consistent", "mismatch", "unexplained", "insufficient_data")
@@ -97,6 +98,13 @@ def beside_config(key: str, configured: float, found: Value) -> str:
     said = f"{key}: the config says {one}, the recording {other}"
     twice = " (C_T, twice the flow over the pressure difference)"
     return said + twice * (key == "leakage")
+
+
+def moved_words(numbers: Sequence[tuple[str, float, Value]]) -> str:
+    """Return which numbers of the config, (key, configured, found), others would have to be."""
+    return listed([f"{key} is {other}, where it has {given}" for key, configured, found in numbers
+                   for given, other in [side_by_side(configured, found.value, found.stddev,
+                                                     found.unit)]]) + " (within three tolerances)"
 
 
 def within_words(moved: float, spread: float) -> str:
@@ -496,14 +504,17 @@ def health_sentences(before: dict[str, Value], after: dict[str, Value],
 
 
 def payload_sentences(effects: Sequence[NamedEffect], wrong: Sequence[RigFinding],
-                      config: Mapping[str, Mapping[str, float]]) -> tuple[str, ...]:
+                      settings: Settings) -> tuple[str, ...]:
     """Return in plain words that a load and a mass that came are one: the load is its weight."""
+    if settings.rig.motion == "rotary":
+        return ()
     of = {symbol: one for effect in effects for symbol, one in effect.parameters.items()}
     mass, load = next((replace(one.found, value=one.found.value - one.configured)
                        for one in wrong if one.key == "mass"), of.get("dM")), of.get("F_0")
     if mass is None or load is None:
         return ()
-    weight = abs(load.value - config.get("constant_load", {}).get("F_0", 0.0)) / g
+    had = settings.effects.get("constant_load", {}).get("F_0", 0.0)
+    weight = abs(load.value - had) / g
     if abs(weight - mass.value) > POLICY.varied * np.hypot(mass.stddev, load.stddev / g):
         return ()
     return ("constant load and moving mass are those of one payload of "

@@ -210,8 +210,8 @@ class RosRig:
                 if "x" in shown:
                     self._measured = float(shown["x"][np.isfinite(shown["x"])][-1])
                     self.seen.set()
-                if job is not None and not job.aborted and (
-                        why := job.watch.exceeded(shown, 1e-9 * batch.stamps)):
+                if job is not None and not job.aborted and (why := job.watch.exceeded(
+                        shown, 1e-9 * batch.stamps if each.reader.stamped else None)):
                     self.abort(why)
 
     def _look(self) -> None:

@@ -131,7 +131,7 @@ def check_units(tree: dict, source: str) -> None:
 def validated(model: type[Model], tree: dict, source: str | Path) -> Model:
     """Return the model of a tree, or say in one line what is wrong first."""
     try:
-        rig = tree.get("rig")
+        rig = tree.get("rig") if isinstance(tree, dict) else None
         motion = rig.get("motion") if isinstance(rig, dict) else None
         return model.model_validate(tree, context={"motion": motion})
     except ValidationError as problem:

@@ -215,6 +215,7 @@ def refit(experiment: Experiment, view: Linearised, chosen: list[Ranked], refits
              if made.log_likelihood >= base + CATCHING_UP * (reach - base)][:MOST_GOING]
     refits.dropped.update((frozenset(made.named), made) for made in looks[::-1]
                         if all(made is not one for one in going))
+
     def ended(made: Fit) -> Fit:
         done = settled(experiment, made, view.slopes)
         return done if np.isfinite(done.log_likelihood) else afresh(experiment, made)
