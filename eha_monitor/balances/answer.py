@@ -229,15 +229,15 @@ def _composed(models: Sequence[Model], courses: Sequence[Course], settings: Sett
     where, curves = place_of(shown, courses, effects, wrong, verdict)
     drift = _drift_of(models, policy)
     warmed = () if drift is None else (_warmed(drift, len(courses)),)
-    message = "; ".join([
+    found = [
         *(one.statement for one in (*wrong, *effects)),
         *(f"of what varies in the {one.balance}, {share(one.error, 2)} has no name"
           for one in models if one.balance in varying),
         *(f"nothing of the catalogue explains {share(one.error, 2)} of the {one.balance} balance"
           for one in open_),
         *(term.message for term in learned.values()),
-        *map(_unsure_words, [one for one in unsure if one.balance not in nameless])]) or (
-        "; ".join((_agreeing_words(models, rig, within, policy), *warmed)))
+        *map(_unsure_words, [one for one in unsure if one.balance not in nameless])]
+    message = "; ".join(found or (_agreeing_words(models, rig, within, policy), *warmed))
     return Diagnosis(
         (), verdict, message, where, tuple(effects), before, after, "held_out",
         {one.balance: SignalFit(SIDES[one.balance], one.nominal_error * one.size,
@@ -247,7 +247,7 @@ def _composed(models: Sequence[Model], courses: Sequence[Course], settings: Sett
         # What a balance lacks bends its own parameter; least squares on the other do not see it.
         health=tuple(sentence for name, value in before.items() for sentence in health_sentences(
             {name: value}, after, [e for e in effects if e.balance == BALANCE_OF[name]])
-        ) + warmed + payload_sentences(effects, wrong, settings),
+        ) + (warmed if found else ()) + payload_sentences(effects, wrong, settings),
         drift=drift,
         config_effects=config_effects(models, effects, settings, newest) | {
             f"learned_{term.adds}": term.entry for term in learned.values()},
@@ -290,7 +290,8 @@ def _agreeing_words(models: Sequence[Model], rig: Rig, within: Sequence[RigFindi
             for one in models for term in one.terms
             if term.candidate.held and within_tolerance(term, rig, policy)
             for value, stddev in [term.quantity] if policy.sure(value, stddev)]
-    return "the config's own model explains the balances of this recording" + (
+    judged = f"{listed([one.balance for one in models])} balance{'s' * (len(models) > 1)}"
+    return f"the config's own model explains the {judged} of this recording" + (
         f", if {moved_words(off)}" if off else "") + (
         f" but for {listed(left)}, of which no effect of the catalogue explains more" if left
         else "")

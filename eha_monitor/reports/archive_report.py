@@ -37,7 +37,7 @@ from eha_monitor.words import PARAMETER_WORDS, effect_words, probability
 
 DAY = 86400.0  # s
 _ENLARGED = 0.4  # share of the picture with the limits below which the values get one of their own
-_WHOLE = "with the limits"
+_CLOSE = "enlarged"
 _INDICATOR = "#007A5A"
 _SOON = 60.0  # s that a picture of a single recording spans
 _FAR = 1.0  # times what has been recorded: so far ahead a picture shows
@@ -140,10 +140,10 @@ def history_block(found: History, settings: Settings) -> fig.Block:
     near = [limit for limit, _ in lines if is_near(limit, low, high)]
     view = (min([low, *near]), max([high, *near]))
     notes = [*filter(None, (trend_words(found), outlook_words(found)))]
-    pictures = [_figure(found, view, lines, _WHOLE)]
+    pictures = [_figure(found, view, lines, "with the limits" if near else "all of it")]
     close = _range(found, everything=False)
     if close[1] - close[0] < _ENLARGED * (view[1] - view[0]):
-        pictures.append(_figure(found, close, lines, "enlarged"))
+        pictures.append(_figure(found, close, lines, _CLOSE))
     notes += far_limits([line for line in lines if line[0] not in near], found.unit)
     if found.undated:
         notes.append(f"{found.undated} more with stamps that are not calendar times: not shown.")
@@ -185,7 +185,7 @@ def _figure(found: History, view: tuple[float, float], lines: list[tuple[float, 
     spread = fig.stated(value, np.nan_to_num(found.stddev, posinf=0.0))
     bottom, top = fig.padded(*view, 0.12)
     start, stop = float(found.time[0]), float(found.time[-1])
-    last = horizon(found) if which == _WHOLE else stop
+    last = stop if which == _CLOSE else horizon(found)
     margin = 0.04 * (last - start) or _SOON
     dates = f"{_day(start)} to {_day(stop)}" if _day(start) != _day(stop) else _day(start)
     panel = fig.Panel(fig.Side(dates, Scale(1.0, "UTC"), which, (start - margin, last + margin),
