@@ -293,7 +293,7 @@ def _agreeing_words(models: Sequence[Model], rig: Rig, within: Sequence[RigFindi
     judged = f"{listed([one.balance for one in models])} balance{'s' * (len(models) > 1)}"
     return f"the config's own model explains the {judged} of this recording" + (
         f", if {moved_words(off)}" if off else "") + (
-        f" but for {listed(left)}, of which no effect of the catalogue explains more" if left
+        f"{',' * bool(off)} but for {listed(left)}, of which no effect of the catalogue explains more" if left
         else "")
 
 
