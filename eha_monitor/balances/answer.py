@@ -292,9 +292,9 @@ def _agreeing_words(models: Sequence[Model], rig: Rig, within: Sequence[RigFindi
             for value, stddev in [term.quantity] if policy.sure(value, stddev)]
     judged = f"{listed([one.balance for one in models])} balance{'s' * (len(models) > 1)}"
     return f"the config's own model explains the {judged} of this recording" + (
-        f", if {moved_words(off)}" if off else "") + (
-        f"{',' * bool(off)} but for {listed(left)}, of which no effect of the catalogue explains more" if left
-        else "")
+        f", if {moved_words(off)}," if off and left else f", if {moved_words(off)}" if off else ""
+    ) + (f" but for {listed(left)}, of which no effect of the catalogue explains more" if left
+         else "")
 
 
 def _unsure_words(one: Model) -> str:
