@@ -223,7 +223,7 @@ class _Choice:
                     steady.remove(name)
                 elif ground not in steady:
                     steady.insert(0, ground)
-            for name in (steady[:1] if of[members[0]].exclusive == "kind" else steady):
+            for name in steady[:1] if of[members[0]].exclusive == "kind" else steady:
                 if of[name].effect not in {of[other].effect for other in kept}:
                     kept.append(name)
         rivals = {}

@@ -291,10 +291,12 @@ def _agreeing_words(models: Sequence[Model], rig: Rig, within: Sequence[RigFindi
             if term.candidate.held and within_tolerance(term, rig, policy)
             for value, stddev in [term.quantity] if policy.sure(value, stddev)]
     judged = f"{listed([one.balance for one in models])} balance{'s' * (len(models) > 1)}"
-    return f"the config's own model explains the {judged} of this recording" + (
-        f", if {moved_words(off)}," if off and left else f", if {moved_words(off)}" if off else ""
-    ) + (f" but for {listed(left)}, of which no effect of the catalogue explains more" if left
-         else "")
+    said = f"the config's own model explains the {judged} of this recording"
+    if off:
+        said += f", if {moved_words(off)}{',' if left else ''}"
+    if left:
+        said += f" but for {listed(left)}, of which no effect of the catalogue explains more"
+    return said
 
 
 def _unsure_words(one: Model) -> str:

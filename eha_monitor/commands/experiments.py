@@ -19,6 +19,7 @@ from eha_monitor.output import finite, write_bytes, write_json, write_text
 if TYPE_CHECKING:
     from eha_monitor.identify.experiment import Rig, Round
     from eha_monitor.identify.plan import Planner
+    from eha_monitor.mismatch.diagnosis import Diagnosis
     from eha_monitor.settings import Settings
 
 MOST_MOTIONS = 99
@@ -133,18 +134,24 @@ def bags_of(rounds: list["Round"], out: Path) -> list[Path]:
     return [one.ran.bag or out / one.ran.recording.source for one in rounds]
 
 
+def last_of(rounds: list["Round"]) -> "Diagnosis | None":
+    """Return the last diagnosis of the rounds, in the units of the rig; None before one."""
+    from eha_monitor.quantity import in_units
+
+    return next((in_units(one.diagnosis) for one in reversed(rounds)
+                 if one.diagnosis is not None), None)
+
+
 def answered(rounds: list["Round"], planner: "Planner", out: Path, command: str,
              targets: Sequence[Path | None], config: Path | None) -> None:
     """Write JSON, report and config of the rounds so far: an experiment may be interrupted."""
     from eha_monitor.api.diagnose import answer, written_config
     from eha_monitor.identify.experiment import tree
-    from eha_monitor.quantity import in_units
     from eha_monitor.reports.diagnosis_report import diagnosis_page
 
     json_file, report_file, config_file = targets
     settings = planner.settings
-    found = next((in_units(one.diagnosis) for one in reversed(rounds)
-                  if one.diagnosis is not None), None)
+    found = last_of(rounds)
     bags = [*map(str, bags_of(rounds, out))]
     if json_file:
         write_json(json_file, finite(tree(rounds, bags, planner.bounds, planner.wanted,
@@ -159,12 +166,9 @@ def answered(rounds: list["Round"], planner: "Planner", out: Path, command: str,
 
 def finish(rounds: list["Round"], out: Path, targets: Sequence[Path | None]) -> str:
     """Say what was found and written; return why the experiment was aborted, or ""."""
-    from eha_monitor.quantity import in_units
-
     last, bags = rounds[-1], bags_of(rounds, out)
-    found = next((one.diagnosis for one in reversed(rounds) if one.diagnosis is not None), None)
-    if found is not None:
-        click.echo(in_units(found).message)
+    if (found := last_of(rounds)) is not None:
+        click.echo(found.message)
     for path in filter(None, (*bags, *targets)):
         if path.exists():
             click.echo(f"written: {path}")

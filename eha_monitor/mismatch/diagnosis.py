@@ -509,8 +509,9 @@ def payload_sentences(effects: Sequence[NamedEffect], wrong: Sequence[RigFinding
     if settings.rig.motion == "rotary":
         return ()
     of = {symbol: one for effect in effects for symbol, one in effect.parameters.items()}
-    mass, load = next((replace(one.found, value=one.found.value - one.configured)
-                       for one in wrong if one.key == "mass"), of.get("dM")), of.get("F_0")
+    beyond = (replace(one.found, value=one.found.value - one.configured)
+              for one in wrong if one.key == "mass")
+    mass, load = next(beyond, of.get("dM")), of.get("F_0")
     if mass is None or load is None:
         return ()
     had = settings.effects.get("constant_load", {}).get("F_0", 0.0)
