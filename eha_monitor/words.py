@@ -21,6 +21,17 @@ def listed(words: list[str] | tuple[str, ...], last: str = "and") -> str:
     return f"{', '.join(words[:-1])} {last} {words[-1]}"
 
 
+def odds(log_evidence: float) -> str:
+    """Return a likelihood ratio, given by its natural logarithm (0 or more), as odds.
+
+    >>> odds(0.0), odds(1.9), odds(2310.0)
+    ('odds of 1 to 1', 'odds of 7 to 1', 'odds beyond 10 000 to 1')
+    """
+    if log_evidence > math.log(1e4):
+        return "odds beyond 10 000 to 1"
+    return f"odds of {float(f'{math.exp(log_evidence):.2g}'):.0f} to 1"
+
+
 def probability(share_of_one: float) -> str:
     """Return a probability in per cent; nothing is certain, so never 0 or 100.
 

@@ -115,7 +115,7 @@ def test_words_say_what_how_much_and_what_next(advised):
     assert "B and Coulomb friction are indistinguishable at constant speed" in text
     assert "correlation 1.000" in text
     assert "N·s/m" in text
-    assert "record also" in text and "log units" in text
+    assert "record also" in text and "by odds of" in text
     assert "checked in simulation" in text
     assert "nan" not in text and "np." not in text
 

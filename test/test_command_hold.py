@@ -84,7 +84,7 @@ def test_a_digital_drive_is_found_and_nothing_pays_for_it(rate):
     assert finding.kind == "hold" and finding.channels == ("x_d",)
     assert finding.correction == {"command_hold": "sampled"}
     assert finding.finding.startswith("the drive holds its command over each sample")
-    assert "log units over a continuous one" in finding.finding
+    assert "odds beyond 10 000 to 1 over a continuous one" in finding.finding
 
 
 def test_dry_friction_hides_no_hold():

@@ -37,6 +37,7 @@ from eha_monitor.recordings.grid import filled
 from eha_monitor.recordings.recording import ChannelFinding, Recording
 from eha_monitor.settings.monitor import Settings
 from eha_monitor.settings.rig import Rig
+from eha_monitor.words import odds
 
 CONTINUOUS, SAMPLED, AUTO = "continuous", "sampled", "auto"
 ASKED = 3000  # samples: the stretch in which the drive moves most
@@ -100,7 +101,7 @@ class HoldDecision:
     @property
     def sentence(self) -> str:
         """Say it in words."""
-        much = f"{self.evidence:.0f} log units"
+        much = odds(self.evidence)
         if not self.decided:
             return ("the recording does not show whether the drive holds its command over each "
                     f"sample ({much})")
@@ -110,7 +111,7 @@ class HoldDecision:
         if self.hold == SAMPLED:
             return ("the drive holds its command over each sample (a digital controller): "
                     f"{much} over a continuous one")
-        return f"the drive's command is continuous: {much} over one that is held over each sample"
+        return f"the drive's command is continuous: {much} over one held over each sample"
 
     @property
     def findings(self) -> tuple[ChannelFinding, ...]:

@@ -38,7 +38,7 @@ from eha_monitor.quantity import number, quantity
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings.monitor import Experiment as Bounds
 from eha_monitor.settings.monitor import Settings
-from eha_monitor.words import effect_words, listed
+from eha_monitor.words import effect_words, listed, odds
 
 NEEDED = ("lower", "upper", "speed", "acceleration", "pressure")
 LOOP = ("pump_displacement", "position_gain", "area_1", "area_2", "volume_1", "volume_2")
@@ -458,7 +458,7 @@ def plan_words(planned: Planned, dt: float) -> str:
             "way to it)")
     if planned.pair is not None:
         one, other = map(set_words, planned.pair)
-        text += f", to distinguish {one} from {other} ({number(planned.log_units, 2)} log units)"
+        text += f", to distinguish {one} from {other} (by {odds(max(planned.log_units, 0.0))})"
     return (f"{text}; probability of the right set of effects: now {percent(planned.now)}, "
             f"expected after it {percent(planned.expected)}")
 

@@ -53,10 +53,10 @@ from eha_monitor.mismatch.show.changed import change_words
 from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.physics.parameters import effect_values
 from eha_monitor.progress import Report
-from eha_monitor.quantity import number, quantity
+from eha_monitor.quantity import quantity
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings.hypothesis import Hypothesis
-from eha_monitor.words import effect_words, listed
+from eha_monitor.words import effect_words, listed, odds
 
 
 def verdict_of(naming: Naming) -> str:
@@ -437,7 +437,7 @@ def considered_of(naming: Naming, test: Tested | None, told: ValidatedTerm | Non
     """Return what was tried and why it is not named."""
     found: dict[str, Considered] = {}
     if test is not None and (told is None or told.effect is None):
-        why = (f"the best model without it is {number(-test.gained, 3)} log units ahead"
+        why = (f"the best model without it is ahead by {odds(-test.gained)}"
                if test.gained < 0.0 else "it removes too little of the error on unseen data")
         found[test.hypothesis.name] = Considered(test.hypothesis.name, test.gained, (), why)
     best = {*naming.after.named, *(f"rig.{key}" for key in naming.wrong)}
@@ -452,6 +452,6 @@ def considered_of(naming: Naming, test: Tested | None, told: ValidatedTerm | Non
             elif best <= names:
                 why = "the identified effects fit as well without it"
             else:
-                why = f"the best set with it is {number(behind, 3)} log units behind"
+                why = f"the best set with it is behind by {odds(behind)}"
             found[plain] = Considered(plain, -behind, beside, why)
     return tuple(found.values())

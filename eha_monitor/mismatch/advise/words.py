@@ -16,7 +16,7 @@ from eha_monitor.mismatch.advise.separate import DECISIVE, Advice, Check, Doubt
 from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.quantity import SYMBOLS, number, quantity, share
 from eha_monitor.settings.rig import Segment
-from eha_monitor.words import effect_words, listed
+from eha_monitor.words import effect_words, listed, odds
 
 NOTABLE = 0.02  # of B or beta_e: a shift below is of no matter
 HOPELESS_INFLATION = 1000.0
@@ -171,8 +171,8 @@ def motion_words(advice: Advice) -> list[str]:
     settled = [d for d in advice.doubts
                if d.then >= DECISIVE and (d.effect, d.rival) not in failed]
     if advice.motion is not None and settled:
-        gains = listed([f"{doubt_words(d)} by {number(d.then, 3)} log units (this recording alone "
-                        f"{number(max(d.now, 0.0), 2)})" for d in settled])
+        gains = listed([f"{doubt_words(d)} by {odds(d.then)} (this recording alone by "
+                        f"{odds(max(d.now, 0.0))})" for d in settled])
         found.append(f"record also {motion_sentence(advice.motion)}: together with this "
                      f"recording it distinguishes {gains}")
     for doubt in advice.doubts:
@@ -190,9 +190,8 @@ def motion_words(advice: Advice) -> list[str]:
                          f"so failed in simulation; at the rig: {check}")
             continue
         best = max((one.gains[advice.doubts.index(doubt)] for one in advice.tried), default=0.0)
-        most = f"{number(best, 2)} log units" if best >= 1.0 else "less than 1 log unit"
         found.append("no motion within the travel and the speed of this recording distinguishes "
-                     f"{doubt_words(doubt)} (at best {most}); at the rig: {check}")
+                     f"{doubt_words(doubt)} (at best {odds(max(best, 0.0))}); at the rig: {check}")
     return found
 
 
@@ -205,5 +204,5 @@ def check_words(check: Check, damping_unit: str) -> str:
     other = f" against {effect_words(check.rival)}" if check.rival else ""
     failed = "" if check.found >= DECISIVE else ", so that motion is not decisive"
     return (f"checked in simulation with noise: {effect_words(check.effect)}{other} "
-            f"gives {number(check.found, 3)} log units, {number(check.predicted, 3)} "
-            f"predicted{failed}; {values}")
+            f"is distinguished by {odds(max(check.found, 0.0))}, where "
+            f"{odds(max(check.predicted, 0.0))} were predicted{failed}; {values}")
