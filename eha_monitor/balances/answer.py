@@ -52,12 +52,14 @@ from eha_monitor.mismatch.diagnosis import (
     Fitted,
     Gate,
     Location,
+    Moved,
     NamedEffect,
     Overlay,
     RigFinding,
     SignalFit,
     Value,
     health_sentences,
+    moved_within,
     moved_words,
     payload_sentences,
 )
@@ -277,23 +279,22 @@ def _warmed(drift: Value, recordings: int) -> str:
 
 def _agreeing_words(models: Sequence[Model], rig: Rig, within: Sequence[RigFinding],
                     policy: Policy) -> str:
-    """Return that nothing is missing that has a name, and what is left all the same.
-
-    A number that may be what it is, by its tolerance, is told: a leakage known to a factor of
-    three hides one that is ten times as large.
-    """
+    """Return that nothing is missing that has a name, and what is left all the same."""
     left = [f"{share(one.error, 2)} of the {one.balance}" for one in models
             if one.error > max(policy.worse, policy.clean * one.floor / one.size)]
-    off = [(one.key, one.configured, one.found) for one in within]
-    off += [(f"{term.candidate.effect}.{term.candidate.symbol}", term.candidate.held,
-             Value(term.candidate.held + value, stddev, term.candidate.unit))
+    off = moved_within(within, rig)
+    off += [Moved(f"{term.candidate.effect}.{term.candidate.symbol}", term.candidate.held,
+                  Value(term.candidate.held + value, stddev, term.candidate.unit),
+                  abs(value) > rig.tolerance.effects * term.candidate.held)
             for one in models for term in one.terms
             if term.candidate.held and within_tolerance(term, rig, policy)
             for value, stddev in [term.quantity] if policy.sure(value, stddev)]
     judged = f"{listed([one.balance for one in models])} balance{'s' * (len(models) > 1)}"
-    said = f"the config's own model explains the {judged} of this recording"
-    if off:
-        said += f", if {moved_words(off)}{',' if left else ''}"
+    near, asked = moved_words(off)
+    said = "the config's own model" + (f", with {near}," if near else "")
+    said += f" explains the {judged} of this recording"
+    if asked:
+        said += f", if {asked}{',' if left else ''}"
     if left:
         said += f" but for {listed(left)}, of which no effect of the catalogue explains more"
     return said

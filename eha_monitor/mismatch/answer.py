@@ -31,6 +31,7 @@ from eha_monitor.mismatch.diagnosis import (
     Value,
     health_sentences,
     intermittent_load,
+    moved_within,
     moved_words,
     payload_sentences,
 )
@@ -411,11 +412,8 @@ def rivals_of(experiment: Experiment, naming: Naming, name: str) -> tuple[str, .
 def message_of(draft: _Draft, where: Location) -> str:
     """Return the verdict in a sentence."""
     if draft.verdict == "consistent":
-        parts, tolerance = [], draft.experiment.settings.rig.tolerance
-        far = [one for one in draft.within if abs(np.log(one.found.value / one.configured))
-               > tolerance.log_spread(one.key)]
-        if near := [one.key for one in draft.within if one not in far]:
-            parts.append(f"{listed(near)} moved within the tolerance")
+        near, asked = moved_words(moved_within(draft.within, draft.experiment.settings.rig))
+        parts = [near] if near else []
         if draft.as_written:
             own = listed([effect_words(name) for name in draft.as_written])
             parts.append(f"its {own} refitted")
@@ -424,8 +422,7 @@ def message_of(draft: _Draft, where: Location) -> str:
                                  for one in draft.unnoticed]))
         moved = f", with {' and '.join(parts)}," if parts else ""
         return f"the nominal model{moved} explains this recording down to the sensors' noise" + (
-            f", if {moved_words([(one.key, one.configured, one.found) for one in far])}"
-            if far else "")
+            f", if {asked}" if asked else "")
     if draft.verdict == "mismatch":
         return "; ".join(one.statement for one in (*draft.wrong, *draft.effects))
     balance = ties.best(where.balance, where.balance.get)

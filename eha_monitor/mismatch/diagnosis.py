@@ -3,6 +3,7 @@
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy.constants import g
@@ -13,6 +14,7 @@ from eha_monitor.balances.policy import POLICY
 from eha_monitor.quantity import quantity, share, side_by_side
 from eha_monitor.recordings.recording import ChannelFinding
 from eha_monitor.settings.monitor import Settings
+from eha_monitor.settings.rig import Rig
 from eha_monitor.words import effect_words, listed
 
 INTERMITTENT = "intermittent_load"  # a load that comes and goes
@@ -100,11 +102,35 @@ def beside_config(key: str, configured: float, found: Value) -> str:
     return said + twice * (key == "leakage")
 
 
-def moved_words(numbers: Sequence[tuple[str, float, Value]]) -> str:
-    """Return which numbers of the config, (key, configured, found), others would have to be."""
-    return listed([f"{key} is {other}, where it has {given}" for key, configured, found in numbers
-                   for given, other in [side_by_side(configured, found.value, found.stddev,
-                                                     found.unit)]]) + " (within three tolerances)"
+class Moved(NamedTuple):
+    """A number of the config that a recording moves; ``beyond`` its tolerance or within it."""
+
+    key: str
+    configured: float
+    found: Value
+    beyond: bool
+
+
+def moved_within(findings: Sequence[RigFinding], rig: Rig) -> list[Moved]:
+    """Return numbers of the rig that a recording moves within three tolerances."""
+    return [Moved(one.key, one.configured, one.found, abs(np.log(
+        one.found.value / one.configured)) > rig.tolerance.log_spread(one.key))
+        for one in findings]
+
+
+def moved_words(numbers: Sequence[Moved]) -> tuple[str, str]:
+    """Return what an agreement says of numbers within three tolerances: what moved, what if.
+
+    Within one tolerance only which they are; beyond it with what each would have to be, since a
+    leakage known to a factor of three hides one that is ten times as large.
+    """
+    far = [one for one in numbers if one.beyond]
+    near = [one.key for one in numbers if one not in far]
+    asked = [f"{one.key} is {other}, where it has {given}" for one in far
+             for given, other in [side_by_side(one.configured, one.found.value, one.found.stddev,
+                                               one.found.unit)]]
+    return (f"{listed(near)} moved within the tolerance" if near else "",
+            f"{listed(asked)} (within three tolerances)" if asked else "")
 
 
 def within_words(moved: float, spread: float) -> str:
