@@ -256,3 +256,15 @@ def test_a_rig_without_a_position_gain_is_turned_by_its_pump(made):
                  dtype=[("time", float), ("pump_speed", float)])
     found = simulate_fmu(str(path), stop_time=1.0, output_interval=T_S, input=u, output=["v"])
     assert found["v"][-1] == pytest.approx(50.0 * 1.6925e-7 / 5.05e-4, rel=1e-2)
+
+
+def test_it_holds_a_load_from_the_start(made):
+    """The pressures at rest balance the config's load and what the master applies."""
+    model = model_of({"constant_load": {"F_0": 500.0}})
+    with Slave(made(model, "load")) as slave:
+        slave.start(load_force=300.0, x_d=model.start)
+        p1, p2, velocity = slave.get("p1", "p2", "v")
+        rig = model.settings.rig
+        assert rig.area_1 * p1 - rig.area_2 * p2 == pytest.approx(800.0)
+        slave.fmu.doStep(0.0, T_S)
+        assert velocity == 0.0 and abs(slave.get("v")[0]) < 1e-4

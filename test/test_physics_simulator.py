@@ -228,3 +228,18 @@ def test_without_a_request_nothing_is_excited():
     quiet = settings(simulation={"test_excitation": {"t": {**SINE, "duration": 0.5}}})
     seen, usual = Simulator(quiet, 3).advance(500), Simulator(settings(), 3).advance(500)
     assert all((seen[name] == usual[name]).all() for name in usual)
+
+
+@pytest.mark.parametrize("effects", [
+    {"constant_load": {"F_0": 500.0}}, {"constant_load": {"F_0": -500.0}},
+    {"spring_load": {"k": 2e4, "x_0": 0.02}}])
+def test_a_rig_begins_at_rest_with_pressures_that_hold_its_load(effects):
+    """It had begun at the charge pressure, and the load fell first; closed form of the hold."""
+    rig = Simulator(settings(effects=effects))
+    theta = rig.theta
+    force = theta[s.AREA_1] * rig.y[2] - theta[s.AREA_2] * rig.y[3]
+    assert force == pytest.approx(effects.get("constant_load", {}).get("F_0", -400.0))
+    assert rig.y[2] + rig.y[3] == pytest.approx(
+        theta[s.P_CHARGE] * (1.0 + theta[s.AREA_1] / theta[s.AREA_2]))
+    rig.advance(2)
+    assert abs(rig.y[1]) < 1e-3

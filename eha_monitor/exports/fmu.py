@@ -333,7 +333,7 @@ def header(closed: bool, guid: str, h: float, start: float, theta: np.ndarray, a
         "N_MEMORY": contributions.N_EFFECTS * signals.MAX_MEMORY,
         "RING": plant.RING, "ROWS": fmu_kernel.ROWS,
         "N_SCRATCH": signals.N_CONTRIBUTIONS + signals.N_SIGNALS, "N_OUT": fmu_kernel.N_OUT,
-        "P_CHARGE": signals.P_CHARGE, "AREA_1": signals.AREA_1, "AREA_2": signals.AREA_2,
+        "AREA_1": signals.AREA_1, "AREA_2": signals.AREA_2,
         "VR_X_START": VR_X_START, "VR_CLOSED": VR_CLOSED, "VR_OUTPUT": VR_OUTPUT,
         "VR_PARAMETER": VR_PARAMETER, "CLOSED": int(closed), "N_PARAMETERS": len(parameters),
         "N_TERMS": len(terms), "N_UPDATES": len(updates)}

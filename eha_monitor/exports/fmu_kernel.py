@@ -18,7 +18,7 @@ from eha_monitor.physics.effect import no_circuit
 from eha_monitor.physics.effects import CATALOGUE
 
 NAME = "eha_kernel"
-CIRCUIT, ADVANCE, OUTPUTS = range(3)  # what the function is asked for
+CIRCUIT, ADVANCE, OUTPUTS, REST = range(4)  # what the function is asked for
 ROWS, KEPT = 8192, 4096  # integration steps of the input that are held; kept when they are full
 N_OUT = 6  # x, v, p1, p2 as the sensors show them, shaft speed, its input
 
@@ -34,11 +34,11 @@ SIGNATURE = types.void(
 
 def kernel(what, y_, theta_, w_, memory_, past_, u_, scratch_, out_, terms_, n_terms, updates_,
            n_updates, active_, places_, t, h, value, slope, load, load_slope, n, closed):
-    """Set the circuit's constants, take ``n`` integration steps, or say what the sensors show.
+    """Set the circuit's constants, take ``n`` steps, say what the sensors show, or come to rest.
 
     Parameters
     ----------
-    what : ``CIRCUIT``, ``ADVANCE`` or ``OUTPUTS``.
+    what : ``CIRCUIT``, ``ADVANCE``, ``OUTPUTS`` or ``REST`` (at the position of the state).
     y_, theta_, w_, memory_, past_ : state, parameters, circuit, memory and past of
         :mod:`eha_monitor.physics.plant`, as pointers.
     u_ : (ROWS, 4) the input's course, one cubic for each integration step.
@@ -73,6 +73,9 @@ def kernel(what, y_, theta_, w_, memory_, past_, u_, scratch_, out_, terms_, n_t
     c, s = scratch[:signals.N_CONTRIBUTIONS], scratch[signals.N_CONTRIBUTIONS:]
     equations = plant.Equations(theta, carray(terms_, (n_terms,)), carray(updates_, (n_updates,)),
                                 w, c, s)
+    if what == REST:
+        plant.come_to_rest(actuator.y, actuator.memory, equations, actuator.y[plant.Y_X], load)
+        return
     # Nothing is held, so nothing has been heard.
     given, step = plant.Given(u, 1, 0, closed, False, s), plant.Step(h, 1)
     if what == OUTPUTS:

@@ -29,7 +29,7 @@ from eha_monitor.physics.contributions import circuit_of
 from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.physics.own_term import turns
 from eha_monitor.physics.parameters import BASE_KEYS, theta_of
-from eha_monitor.physics.plant import SHORTEST_LAG
+from eha_monitor.physics.plant import SHORTEST_LAG, Y_P1, Y_P2, Y_X, at_rest
 from eha_monitor.settings.monitor import Settings
 from eha_monitor.settings.own_terms import slot_for
 from eha_monitor.settings.rig import Rig
@@ -162,7 +162,6 @@ def modelica_of(model: Model, units: Mapping[str, str]) -> Exported:
     theta, active = theta_of(settings.rig, settings.effects)
     w = circuit_of(theta, active)
     slow = closed and (w[of.DRIVE_LAG] > 0.0 or bool(np.isfinite(w[of.SLEW_LIMIT])))
-    start = model.start
     lost = (*(f"{name}: {why}" for name, why in WITHOUT.items() if name in model.effects),
             *(line for line in lost_of_simulation(model)
               if not line.startswith("position_quantisation")),
@@ -181,7 +180,7 @@ def modelica_of(model: Model, units: Mapping[str, str]) -> Exported:
             f'  "Electrohydraulic actuator, by eha_monitor {__version__}"',
             f"  // from {model.source}; {model.provenance}",
             *(f"  // not in this model: {line}" for line in lost)]
-    text += _parameters(model, start, units)
+    text += _parameters(model, at_rest(theta, active, model.start), units)
     text += _ports(closed, slow, units)
     text += ["protected"]
     text += [f"  Real {name};" for name in ("dp", *(f"sum_{one}" for one in CONTRIBUTIONS),
@@ -218,7 +217,7 @@ def _unit(unit: str, units: Mapping[str, str]) -> str:
     return f'(unit = "{text.replace("^", "").replace("*", ".")}")'
 
 
-def _parameters(model: Model, start: float, units: Mapping[str, str]) -> list[str]:
+def _parameters(model: Model, start: np.ndarray, units: Mapping[str, str]) -> list[str]:
     lines = []
     for key in BASE_KEYS.values():
         value = getattr(model.settings.rig, key)
@@ -226,8 +225,11 @@ def _parameters(model: Model, start: float, units: Mapping[str, str]) -> list[st
             info = Rig.model_fields[key]
             lines.append(f"  parameter Real {key}{_unit(info.json_schema_extra['unit'], units)} = "
                          f"{_number(value)} {_quote(info.description)};")
-    lines.append(f"  parameter Real x_start{_unit('m', units)} = {_number(start)} "
-                 '"position at the start, at rest";')
+    for key, unit, place, what in (("x_start", "m", Y_X, "position"),
+                                   ("p1_start", "Pa", Y_P1, "pressure 1, which with the other"
+                                    " holds the load,"), ("p2_start", "Pa", Y_P2, "pressure 2")):
+        lines.append(f"  parameter Real {key}{_unit(unit, units)} = {_number(start[place])} "
+                     f'"{what} at the start, at rest";')
     for name, values in model.effects.items():
         if name not in EFFECTS:
             continue
@@ -247,8 +249,9 @@ def _ports(closed: bool, slow: bool, units: Mapping[str, str]) -> list[str]:
     given = [port for port in INPUTS if port[0] != ("pump_speed" if closed else "x_d")]
     lines = [f"  input Real {name}{_unit(unit, units)} {_quote(re.split(', with', text)[0])};"
              for name, unit, text in given]
-    starts = {"x": "x_start", "v": "0", "p1": "charge_pressure",
-              "p2": "charge_pressure*area_1/area_2"} | ({"omega": "0"} if slow else {})
+    starts = {"x": "x_start", "v": "0", "p1": "p1_start", "p2": "p2_start"}
+    if slow:
+        starts["omega"] = "0"
     for name, unit, text in OUTPUTS:
         spelt = _unit(unit, units)
         if name in starts:

@@ -92,22 +92,37 @@ def new_state(x: float, p1: float, p2: float) -> np.ndarray:
     return y
 
 
-def at_rest(theta: np.ndarray, active: np.ndarray, x: float) -> np.ndarray:
-    """Return the state at rest at ``x`` (m), (N_STATE,): the pressures hold what loads the rod.
+@njit(forceinline=True)
+def come_to_rest(y, memory, equations, x, load):
+    """Set the state at rest at ``x`` (m), in place: the pressures hold what loads the rod.
 
     A1 p1 - A2 p2 = F beside an unchanged sum of both, which make-up keeps; where one would be
     below zero it is zero, and the other holds the load alone.
+
+    y, memory : (N_STATE,) written; of the effects.
+    load : force against positive motion that no effect accounts for, N.
     """
-    signals, c = np.zeros(of.N_SIGNALS), np.zeros(of.N_CONTRIBUTIONS)
+    theta, s, c = equations.theta, equations.s, equations.c
     area_1, area_2, charge = theta[of.AREA_1], theta[of.AREA_2], theta[of.P_CHARGE]
     p1, p2 = charge, charge * area_1 / area_2
-    signals[of.X], signals[of.P1], signals[of.P2] = x, p1, p2
-    effects.add_contributions(signals, theta, effects.with_term(active), effects.new_memory(), c)
-    force = c[of.FORCE]
+    s[:] = 0.0
+    s[of.X], s[of.P1], s[of.P2] = x, p1, p2
+    effects.add_contributions(s, theta, equations.terms, memory, c)
+    force = c[of.FORCE] + load
     p1, p2 = p1 + force / (area_1 + area_2), p2 - force / (area_1 + area_2)
     if p1 < 0.0 or p2 < 0.0:
         p1, p2 = max(force, 0.0) / area_1, max(-force, 0.0) / area_2
-    return new_state(x, p1, p2)
+    y[:] = 0.0
+    y[Y_X], y[Y_P1], y[Y_P2], y[Y_PLAYED] = x, p1, p2, x
+
+
+def at_rest(theta: np.ndarray, active: np.ndarray, x: float) -> np.ndarray:
+    """Return the state at rest at ``x`` (m), (N_STATE,): :func:`come_to_rest`."""
+    y, none = np.zeros(N_STATE), np.zeros(0, dtype=np.int64)
+    equations = Equations(theta, effects.with_term(active), none, np.zeros(0),
+                          np.zeros(of.N_CONTRIBUTIONS), np.zeros(of.N_SIGNALS))
+    come_to_rest(y, effects.new_memory(), equations, x, 0.0)
+    return y
 
 
 @njit(forceinline=True)

@@ -120,11 +120,7 @@ class Simulator:
         self._own_demand = demand
         self._tests: list[float] = []  # when each test excitation began, s
         start = self._demanded(np.zeros(1))[0]
-        # A rig that others command has stood there before; else it begins as exported models do,
-        # at the charge pressure, and a load falls first.
-        charge = settings.rig.charge_pressure
-        self.y = plant.at_rest(self.theta, self.active, start) if demand else plant.new_state(
-            start, charge, charge * settings.rig.area_1 / settings.rig.area_2)
+        self.y = plant.at_rest(self.theta, self.active, start)
         self._actuator = plant.actuator_of(self.y, new_memory())
         self._shaft = np.nan, 0.0  # speed rad/s and angle rad at the last sample
 

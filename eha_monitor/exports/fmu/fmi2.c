@@ -28,7 +28,7 @@ typedef struct {
     void *environment;
 } Callbacks;
 
-enum { CIRCUIT, ADVANCE, OUTPUTS };
+enum { CIRCUIT, ADVANCE, OUTPUTS, REST };
 enum { X_D, SPEED, LOAD, N_INPUTS };
 enum { N_OUTPUTS = 9 }; /* x v p1 p2 omega x_measured p1_measured p2_measured force */
 
@@ -84,14 +84,12 @@ static void fresh(State *s)
     s->changed = 1;
 }
 
-/* At rest at x_start: the forces balance, the past was the same. */
+/* At rest at x_start: the pressures hold the load, the past was the same. */
 static void at_rest(State *s)
 {
-    memset(s->y, 0, sizeof s->y);
     memset(s->memory, 0, sizeof s->memory);
-    s->y[0] = s->y[8] = s->x_start;
-    s->y[2] = s->theta[P_CHARGE];
-    s->y[3] = s->theta[P_CHARGE] * s->theta[AREA_1] / s->theta[AREA_2];
+    s->y[0] = s->x_start;
+    call(s, REST, 0);
     for (int i = 0; i < RING; i++) {
         s->past[4 * i] = s->x_start;
         s->past[4 * i + 1] = 0.0;
