@@ -135,6 +135,7 @@ proof: everything
 	@$(PYTHON) -m eha_monitor prove
 	@for file in $(TRIALS); do echo "== $$file"; $(PYTHON) $$file || exit 1; done
 	@$(PYTHON) -m pytest -m slow
+	@$(PYTHON) -m pytest -n 2 --dist loadfile --hypothesis-profile fresh
 	@$(MAKE) --no-print-directory test-generic
 
 # The lock names no index, so it installs from whichever index pip is configured for.  fmpy asks for

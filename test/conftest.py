@@ -14,9 +14,13 @@ import hypothesis
 import pytest
 
 # A busy machine is no error of a test; a folder may hold what the example before has left there.
-hypothesis.settings.register_profile("here", deadline=None, suppress_health_check=[
-    hypothesis.HealthCheck.function_scoped_fixture])
-hypothesis.settings.load_profile("here")
+# The same draws on every machine, so that a run says something of the sources it is of; ``make
+# proof`` draws afresh.
+for profile, same in (("same", True), ("fresh", False)):
+    hypothesis.settings.register_profile(
+        profile, deadline=None, derandomize=same, suppress_health_check=[
+            hypothesis.HealthCheck.function_scoped_fixture])
+hypothesis.settings.load_profile("same")
 
 
 def _domain() -> tuple[int, object]:
