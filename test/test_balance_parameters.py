@@ -95,6 +95,34 @@ def test_friction_that_falls_with_speed_is_not_less_damping(speed, known_to, pow
     assert abs(found.value - 1500.0) < max(0.5 * abs(line.value - 1500.0), 15.0)
 
 
+DRY_CONFIG = settings(rig={"area_1": None, "area_2": None, "mass": 20.0},
+                      effects={"coulomb_friction": {"F_c": 100.0}})
+
+
+@pytest.mark.parametrize("grown", [0.4, 1.0, 1.6, 2.5])
+def test_dry_friction_that_is_no_longer_the_configs_is_not_damping(grown):
+    """A repaired seal's 40 N was held against the config's: B 246, undetermined."""
+    recording = falling_friction(0.003, 1.0, 4, 0.0, 100.0 * (grown - 0.6), since=-1.0)
+    found = parameters_of(recording, DRY_CONFIG)["B"]
+    assert abs(found.value - 1500.0) < 2.0 * found.stddev < 0.2 * 1500.0
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("grown", [0.4, 1.0, 1.6])
+def test_nor_in_strokes_of_two_speeds_that_tell_little_of_either(grown, seed):
+    """Or nothing is said of it."""
+    rng = np.random.default_rng(seed)
+    t, dt = np.arange(0.0, 20.0, 2e-3), 2e-3
+    speed = np.concatenate([np.full(1000, sign * size) for size in rng.permutation([
+        0.03, 0.03, 0.05, 0.03, 0.05]) for sign in (1.0, -1.0)])
+    v = np.convolve(speed, np.full(15, 1.0 / 15.0), "same")
+    force = (20.0 * np.gradient(v, t) + 1500.0 * v + 100.0 * grown * np.tanh(v / 2e-4)
+             + rng.normal(0.0, 5.0) + rng.standard_normal(len(t)))
+    found = parameters_of(Recording(dt, {
+        "x": np.cumsum(v) * dt + 1e-6 * rng.standard_normal(len(t)), "force": force}), DRY_CONFIG)
+    assert "B" not in found or abs(found["B"].value - 1500.0) < 2.0 * found["B"].stddev
+
+
 @pytest.mark.parametrize("since", [5.0, 10.0])
 @pytest.mark.parametrize("seed", [1, 2])
 @pytest.mark.parametrize("more", [20.0, 60.0])

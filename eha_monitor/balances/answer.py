@@ -294,7 +294,7 @@ def _agreeing_words(models: Sequence[Model], rig: Rig, within: Sequence[RigFindi
     said = "the config's own model" + (f", with {near}," if near else "")
     said += f" explains the {judged} of this recording"
     if asked:
-        said += f", if {asked}{',' if left else ''}"
+        said += f" only if {asked}{',' if left else ''}"
     if left:
         said += f" but for {listed(left)}, of which no effect of the catalogue explains more"
     return said

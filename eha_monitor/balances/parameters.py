@@ -1,10 +1,11 @@
 """B and beta_e of some seconds by least squares, beside the model that the config has.
 
-    F - known = M x'' + B x' + F_0 (+ F_c sgn x')  force balance, see :func:`damping`
+    F - known = M x'' + B x' + F_0 + F_c sgn x'    force balance, see :func:`damping`
     A x' - known = D_p omega - V(x) p' / beta_e - C_L (p1 - p2)  flow balance, see :mod:`oil`
 
-``known`` is what the config's effects add along the measured motion.  Mass, load, displacement and
-leakage stand beside as free numbers, so that a wrong one of the config moves neither parameter.  A
+``known`` is what the config's effects add along the measured motion.  Mass, load, dry friction,
+displacement and leakage stand beside as free numbers, so that a wrong one of the config, or one
+that wears, moves neither parameter.  A
 filter that follows a model sample by sample is more precise where that model is right, and led
 astray where it is not; these two equations ask for so little that a stranger's machine meets them.
 
@@ -55,7 +56,6 @@ SHAPE = 0.5
 SPEEDS = 12  # over which friction may fall: a ratio of 1.4 from one to the next
 FALLS = 2  # that may stand together: what breaks away, and what falls on
 SINCE = 0.25, 0.5, 0.75  # of the seconds: dry friction may be another since
-SIGNS = np.array([0, 1, 0, 1])  # of load, inertia, damping, dry friction
 B = 2  # its column
 
 
@@ -79,7 +79,8 @@ def parameters_of(recording: Recording, settings: Settings) -> dict[str, Paramet
                 settings.rig, sample_of(recording).channels)):
             continue
         motion = course if motion is None else replace(motion, wide=course)
-        one = _surest_damping(course, settings)
+        known = course.known["force"] - settings.rig.mass * course.a
+        one = damping(course, settings.rig, known, _friction(settings))
         damped += [] if one is None else [one]
     if damped:
         # Of the band in which it is surest, and no better known than it is the same in the other.
@@ -102,27 +103,14 @@ def along(recording: Recording, settings: Settings) -> Iterator[Beside]:
         yield Beside((stop - 1) * dt, parameters_of(rows_of(recording, start, stop), settings))
 
 
-def _surest_damping(course: Course, settings: Settings) -> tuple[float, float] | None:
-    """Return B and its deviation: with the config's dry friction, or one of its own.
-
-    Whichever is surer: the deviation of the first holds how far another dry friction moves it
-    where that fits better, of the second how little the motion may tell friction from damping.
-    """
-    rig = settings.rig
-    known = course.known["force"] - rig.mass * course.a
-    ways = [found for held in (True, False) if (found := damping(
-        course, rig, known, _friction(settings), held)) is not None]
-    return ties.best(ways, lambda way: -way[1]) if ways else None
-
-
 def _friction(settings: Settings) -> float:
     """Return the dry friction that the config has, N."""
     return sum(abs(float(values.get("F_c", 0.0))) for name, values in settings.effects.items()
                if name in DRY_LAWS)
 
 
-def damping(course: Course, rig: Rig, known: np.ndarray, friction: float,
-            held: bool = False) -> tuple[float, float] | None:
+def damping(course: Course, rig: Rig, known: np.ndarray, friction: float
+            ) -> tuple[float, float] | None:
     """Return B and its standard deviation, SI; None where the motion does not determine it.
 
     The deviation holds the noise, the mixture of the falls and ``SHAPE``, how far B goes with
@@ -134,23 +122,23 @@ def damping(course: Course, rig: Rig, known: np.ndarray, friction: float,
     ----------
     known : (m,) N, what else acts as the config says.
     friction : N, the config's dry friction; in ``known``.
-    held : it is all there is; that it may be another is in the deviation.
     """
     if not course.shows:
         return None
     counted = course.compared(course.counted("force"))
-    own = [np.ones(len(course)), course.a, course.v] + [course.direction] * (not held)
-    signs = SIGNS[:len(own)]
+    own = [np.ones(len(course)), course.a, course.v, course.direction]
     rows = course.in_band(np.column_stack([course.force - known, *own]))[counted]
     y, columns = rows[:, 0], rows[:, 1:]
     if len(y) < 4 * len(own):
         return None
+    # Of load, inertia, damping, dry friction: beside the config's it may be less.
+    signs = np.array([0, 1, 0, 0 if friction else 1])
     first = signed_solution(columns.T @ columns, columns.T @ y, signs)
     free = (signs == 0) | (first > 0.0)
     if not free[B] or not np.isfinite(inverse_of(columns.T @ columns)[B, B]):
         return None
     columns, place = columns[:, free], int(free[:B].sum())
-    dry = friction + (0.0 if held else float(first[-1]))
+    dry = max(friction + float(first[-1]), 0.0)
     fits = _Fits(y, place, counted)
     ways = FALL * dry * _falls(course, rig)[counted]
     plain, base, noise = fits.at(columns), columns, fits.noise(columns)
@@ -172,7 +160,7 @@ def damping(course: Course, rig: Rig, known: np.ndarray, friction: float,
     variance = max(float(odds @ (variances + (values - value) ** 2)),
                    fits.jackknifed(base, (np.flatnonzero(counted) * course.step / BLOCK)
                                    .astype(int)))
-    others = course.in_band(np.column_stack(list(_others(course, held))))[counted]
+    others = course.in_band(np.column_stack(list(_others(course))))[counted]
     stddev = float(np.sqrt(variance + (SHAPE * (value - plain)) ** 2
                            + fits.shift(base, others) ** 2))
     return (value, stddev) if np.isfinite(stddev) else None
@@ -237,14 +225,12 @@ def _falls(course: Course, rig: Rig) -> np.ndarray:
         [np.exp(-shares), np.exp(-shares**2), slowly / FALL]))
 
 
-def _others(course: Course, held: bool) -> Iterator[np.ndarray]:
+def _others(course: Course) -> Iterator[np.ndarray]:
     """Yield what else a force may have, (m,), each of any size."""
     yield course.x - np.mean(course.x)
     yield course.v * np.abs(course.v) / max(course.speed, 1e-300)
     at = np.linspace(0.0, 1.0, len(course))
     for share in SINCE:
         yield course.direction * (at > share)
-    if held:
-        yield course.direction
     if course.band > BAND:
         yield slope(course.force, course.dt)

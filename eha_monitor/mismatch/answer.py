@@ -422,7 +422,7 @@ def message_of(draft: _Draft, where: Location) -> str:
                                  for one in draft.unnoticed]))
         moved = f", with {' and '.join(parts)}," if parts else ""
         return f"the nominal model{moved} explains this recording down to the sensors' noise" + (
-            f", if {asked}" if asked else "")
+            f" only if {asked}" if asked else "")
     if draft.verdict == "mismatch":
         return "; ".join(one.statement for one in (*draft.wrong, *draft.effects))
     balance = ties.best(where.balance, where.balance.get)
