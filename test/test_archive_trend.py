@@ -5,7 +5,7 @@ import pytest
 
 from eha_monitor.archive.history import MONTH, history, trend
 from eha_monitor.archive.store import iso_time
-from eha_monitor.reports.archive_report import history_block, trend_words
+from eha_monitor.reports.archive_report import history_block, summary_words, trend_words
 from eha_monitor.settings import Settings
 
 DAY = 86_400.0
@@ -58,18 +58,27 @@ def test_doubtful_values_do_not_bend_the_line():
     assert found.line.count == 5
     assert found.line.slope == pytest.approx(0.0, abs=1e-12)
     assert found.reliable.tolist() == [True] * 5 + [False] * 3
-    assert not found.doubtful
     block = history_block(found, Settings())
     assert block.pictures
     assert "not significant" in block.notes[0]
 
 
-def test_where_all_are_tainted_their_change_is_told():
+def test_no_line_goes_through_values_of_a_model_that_does_not_fit():
+    """Of a stranger's press with constant oil: beta_e of 4.1 and 4.6 GPa, -2820 +- 330 a month."""
     rows = [row(day, 900.0 + day, 0.1, B_doubt="dry friction") for day in range(6)]
-    found = history(rows, "B", "estimate", "now")
-    assert found.doubtful
-    assert MONTH * found.line.slope == pytest.approx(30.0)
-    assert "shows changes only" in trend_words(found)
+    found = history([*rows, row(6, 600.0), row(7, 601.0)], "B", "estimate", "now")
+    assert found.line is None
+    assert "needs 3 values" in trend_words(found) and "2 there" in trend_words(found)
+    air = [{**one, "free_air_percent": -3.8, "free_air_percent_noise": 0.01,
+            "free_air_percent_status": "in_doubt"} for one in rows]
+    assert history(air, "free_air", "estimate", "now").line is None
+
+
+def test_copies_of_a_recording_count_once():
+    """By the moment from which they are, and how long."""
+    rows = [row(day, 600.0, samples=100) for day in range(3)]
+    found = history([*rows, {**rows[0], "bag": "copy"}], "B", "estimate", "now")
+    assert found.line.count == 3
 
 
 def test_measured_temperatures_make_it_the_reference():
@@ -92,3 +101,10 @@ def test_stamps_that_are_no_calendar_time_are_told():
     nothing = history([{"bag": "a", "made_with": "now", "error": "broken"}], "beta_e",
                       "estimate", "now")
     assert "no recording gives a value" in history_block(nothing, Settings()).notes[0]
+
+
+def test_an_alarm_that_nobody_asked_for_is_no_ok():
+    rows = [row(day, 600.0, alarm=None) for day in range(3)]
+    assert "no limit is set, so that no alarm was judged" in summary_words(rows, "estimate")
+    rows[0]["alarm"] = "OK"
+    assert "no alarm at the end of any recording" in summary_words(rows, "estimate")

@@ -16,6 +16,7 @@ from eha_monitor.estimation.pipeline import estimate
 from eha_monitor.indicators.assemble import Evidence, evidence, evidence_of_estimate, indicators
 from eha_monitor.indicators.indicator import NAMES, limits_of_indicator, passed, propagated
 from eha_monitor.indicators.laws import (
+    SHEARED,
     dry_friction,
     free_air,
     leakage_flow,
@@ -144,7 +145,8 @@ def test_standard_deviations_are_those_of_monte_carlo():
     oil = rng.normal(1.5e9, 1.5e8, 20_000)
     exponent = rng.uniform(1.0, 1.4, 20_000)
     factor = np.array([free_air(1e9, 2e9, n, pressures) for n in exponent]) / (1 / 1e9 - 1 / 2e9)
-    samples = {"leakage": 6e7 * flow, "damping": drawn["B"] * ratio,
+    sheared = rng.normal(1.0, SHEARED, 20_000)
+    samples = {"leakage": 6e7 * flow, "damping": drawn["B"] * ratio**sheared,
                "pump_efficiency": 100 * (1 - flow / (settings.rig.pump_displacement * 300.0)),
                "free_air": 100 * factor * (1 / drawn["beta_e"] - 1 / oil)}
     for name, sample in samples.items():

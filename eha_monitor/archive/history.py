@@ -492,11 +492,9 @@ class History:
     # value, stddev: SI
     value: np.ndarray
     stddev: np.ndarray
-    reliable: np.ndarray  # converged, untainted, and made with this config and source
-    # what the line goes through: the reliable ones; where they are fewer than three, those that
-    # only the model's mismatch speaks against
-    usable: np.ndarray
-    line: Trend | None  # through the usable ones since the last jump, or None
+    # converged, untainted, and made with this config and source: what a line may go through
+    reliable: np.ndarray
+    line: Trend | None  # through these since the last jump, or None
     undated: int  # recordings with a value whose stamps are no calendar time
     at_reference: bool  # the values are B at the reference temperature
     outlook: Outlook = field(default_factory=Outlook)  # jumps, and the time to each limit
@@ -505,11 +503,6 @@ class History:
     def since(self) -> float:
         """Time of the first value after the last jump, s since the epoch; -inf without one."""
         return max(self.outlook.jumps, default=-np.inf)
-
-    @property
-    def doubtful(self) -> bool:
-        """Whether the line goes through values that a mismatch taints."""
-        return self.line is not None and bool((self.usable & ~self.reliable).any())
 
 
 def history(rows: Sequence[dict], name: str, command: str, made_with: str,
@@ -524,28 +517,37 @@ def history(rows: Sequence[dict], name: str, command: str, made_with: str,
     """
     limits = (None, None) if settings is None else limits_of_indicator(name, settings)
     told = [row for row in rows if _value(row, name, command, False) is not None]
-    dated = sorted((row for row in told if _time(row) >= CALENDAR_NS * 1e-9), key=_time)
+    dated = sorted((row for row in first_of_copies(told) if _time(row) >= CALENDAR_NS * 1e-9),
+                   key=_time)
     current = np.array([row["made_with"] == made_with for row in dated], dtype=bool)
     fine = np.array([_converged(row, name, command) for row in dated], dtype=bool) & current
     reliable = fine & np.array([_untainted(row, name, command) for row in dated], dtype=bool)
-    usable = reliable if reliable.sum() >= LEAST else fine
-    at_reference = bool(name == "B" and command == "estimate" and usable.any() and all(
+    at_reference = bool(name == "B" and command == "estimate" and reliable.any() and all(
         row.get("B_reference") is not None
-        for row, good in zip(dated, usable, strict=True) if good))
+        for row, good in zip(dated, reliable, strict=True) if good))
     if at_reference:
         keep = np.array([row.get("B_reference") is not None for row in dated], dtype=bool)
         dated = [row for row, good in zip(dated, keep, strict=True) if good]
-        reliable, usable = reliable[keep], usable[keep]
+        reliable = reliable[keep]
     time = np.array([_time(row) for row in dated])
     value, stddev = np.array([_value(row, name, command, at_reference) for row in dated],
                              dtype=float).reshape(-1, 2).T
-    # Values that a mismatch taints tell of change; when a limit is reached they do not.
-    tainted = bool((usable & ~reliable).any())
-    seen = Outlook() if tainted else outlook(time[usable], value[usable], stddev[usable], limits)
-    lately = usable & (time >= max(seen.jumps, default=-np.inf))
-    return History(name, _unit(name, told, settings), time, value, stddev, reliable, usable,
+    seen = outlook(time[reliable], value[reliable], stddev[reliable], limits)
+    lately = reliable & (time >= max(seen.jumps, default=-np.inf))
+    return History(name, _unit(name, told, settings), time, value, stddev, reliable,
                    trend(time[lately], value[lately], stddev[lately]),
                    sum(_time(row) < CALENDAR_NS * 1e-9 for row in told), at_reference, seen)
+
+
+def first_of_copies(rows: Sequence[dict]) -> list[dict]:
+    """Return the rows without copies: a machine is not recorded twice from the same moment on."""
+    seen, found = set(), []
+    for row in rows:
+        moment = row.get("start"), row.get("samples")
+        if None in moment or moment not in seen:
+            found.append(row)
+        seen.add(moment)
+    return found
 
 
 def _unit(name: str, told: Sequence[dict], settings: Settings | None) -> str:

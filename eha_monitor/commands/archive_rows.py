@@ -22,7 +22,7 @@ from eha_monitor.archive.find import Place, find_bags, stamp_of
 from eha_monitor.archive.store import INDICATORS, PARAMETERS, Store, check_parquet, iso_time
 from eha_monitor.commands.common import Archive, end_as_on_interrupt, progress_bar
 from eha_monitor.errors import InputError
-from eha_monitor.health.judge import NOT_JUDGED, SEVERITY, Alarm
+from eha_monitor.health.judge import NO_LIMIT, NOT_JUDGED, SEVERITY, Alarm
 from eha_monitor.indicators.indicator import Indicator
 from eha_monitor.output import PACKAGE, finite, source_digest, write_text
 from eha_monitor.settings import Settings, load_settings
@@ -244,7 +244,7 @@ def estimate_columns(tree: dict) -> dict:
             one, taint = taint["instead"], None
         row |= {name: one["value"], f"{name}_stddev": one["stddev"], f"{name}_unit": one["unit"],
                 f"{name}_status": one["status"], f"{name}_doubt": taint and taint["reason"]}
-    alarms = [Alarm(**alarm) for alarm in tree["alarms"]]
+    alarms = [Alarm(**alarm) for alarm in tree["alarms"] if alarm["message"] != NO_LIMIT]
     row |= {alarm.name: alarm.word for alarm in alarms}
     if alarms:
         worst = max(alarms, key=lambda alarm: SEVERITY.index(alarm.word))
@@ -260,7 +260,7 @@ def _at_reference(found: "Estimate") -> dict:
     """Return the temperature, and B carried to the reference one as the alarms do it."""
     import numpy as np
 
-    from eha_monitor.indicators.laws import viscosity_factor
+    from eha_monitor.indicators.laws import at_reference
 
     warmth = found.recording.get("temperature")
     warmth, damping = warmth[np.isfinite(warmth)], found.parameters["B"]
@@ -268,9 +268,8 @@ def _at_reference(found: "Estimate") -> dict:
         return {}
     row = {"temperature_C": float(warmth[-1])}
     if np.isfinite(damping.value):
-        factor = viscosity_factor(found.settings.viscosity, row["temperature_C"])
-        row["B_reference"] = float(factor * damping.value)
-        row["B_reference_stddev"] = float(factor * damping.stddev)
+        row["B_reference"], row["B_reference_stddev"] = map(float, at_reference(
+            found.settings.viscosity, row["temperature_C"], damping.value, damping.stddev))
     return row
 
 
@@ -342,6 +341,8 @@ def _why(row: dict) -> str:
     from eha_monitor.reports.archive_report import phrases
 
     alarmed = row.get("alarm") in ("WARN", "ERROR", NOT_JUDGED)
+    misfit = f"the model does not fit: {row.get('model_balance')}"
     return row.get("error") or "; ".join(phrases(row)) or (
         row["alarm_message"] if alarmed else
-        row.get("verdict_message") or row.get("model_message") or "")
+        row.get("verdict_message") or (misfit if row.get("model_balance") else "")
+        or row.get("model_message") or "")

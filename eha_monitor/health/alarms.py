@@ -35,7 +35,7 @@ from eha_monitor.health.judge import (
     Rebase,
     Watched,
 )
-from eha_monitor.indicators.laws import viscosity_factor
+from eha_monitor.indicators.laws import at_reference
 from eha_monitor.quantity import quantity, share, with_uncertainty
 from eha_monitor.recordings.columns import blocks, chosen
 from eha_monitor.settings.monitor import Settings
@@ -154,12 +154,11 @@ class AlarmBoard:
         if (estimate is None or estimate.status != "converged"
                 or not (math.isfinite(estimate.value) and math.isfinite(estimate.stddev))):
             return None
-        factor = 1.0
+        value, stddev = estimate.value, estimate.stddev
         if symbol == "B" and temperature is not None and math.isfinite(temperature):
-            factor = viscosity_factor(self._viscosity, temperature)
+            value, stddev = at_reference(self._viscosity, temperature, value, stddev)
         else:
             temperature = None
-        value, stddev = factor * estimate.value, factor * estimate.stddev
         shown = self._shown(symbol, estimate, value, stddev, temperature)
         if taint is None:
             self._rebase[symbol].fits(value)

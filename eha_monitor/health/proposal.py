@@ -16,7 +16,7 @@ import numpy as np
 from scipy.special import stdtr, stdtrit
 
 from eha_monitor.health.alarms import JUDGE_RATE, SECTIONS, ParameterSeries, carried
-from eha_monitor.indicators.laws import viscosity_factor
+from eha_monitor.indicators.laws import at_reference
 from eha_monitor.settings.monitor import LIMITS, Settings, Thresholds
 
 UNLIKE = 0.01  # chance, over all recordings, at which one counts as unlike the others
@@ -88,12 +88,11 @@ def healthy_of(source: str, symbol: str, time: np.ndarray, series: ParameterSeri
     stride = max(1, round(1.0 / (JUDGE_RATE * float(np.median(np.diff(time))))))
     index = np.arange(len(time) - 1, -1, -stride)[::-1]
     known, value, stddev = series.at(index)
-    factor = np.ones(len(index))
     if symbol == "B" and temperature is not None:
-        factor = np.array([viscosity_factor(settings.viscosity, degrees)
-                           if math.isfinite(degrees) else 1.0
-                           for degrees in carried(temperature, index)])
-    value, stddev = value * factor, stddev * factor
+        value, stddev = np.array([
+            at_reference(settings.viscosity, degrees, one, spread) if math.isfinite(degrees)
+            else (one, spread) for degrees, one, spread in zip(
+                carried(temperature, index), value, stddev, strict=True)]).T
     limits = getattr(settings.thresholds, SECTIONS[symbol])
     margin = settings.thresholds.confidence * stddev
     window = min(math.ceil(limits.hold_time * JUDGE_RATE - 1e-6) + 1, len(index))

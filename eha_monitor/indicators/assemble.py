@@ -10,7 +10,7 @@ import numpy as np
 from eha_monitor.estimation.results import Estimate, units_of
 from eha_monitor.indicators import indicator, laws
 from eha_monitor.indicators.indicator import Indicator
-from eha_monitor.indicators.laws import LEAKS, viscosity_factor
+from eha_monitor.indicators.laws import LEAKS, SHEARED, viscosity_factor
 from eha_monitor.mismatch.diagnosis import Diagnosis
 from eha_monitor.physics.effects import DRY_LAWS
 from eha_monitor.quantity import number, quantity
@@ -205,7 +205,8 @@ LAWS = {
     "with the root of the pressure; not seen: what leaks at pressures far from those recorded",
     "free_air": "1/βe = 1/β_oil + (α/(n p)) (p_atm/p)^(1/n): polytropic air beside the oil; all "
     "softness beyond the air-free modulus counts as air, also a hose; dissolved air is not seen",
-    "damping": "B goes as the viscosity (laminar shear); the part that is seal friction does not",
+    "damping": "B goes as the viscosity (laminar shear); that half of it may be seal friction, "
+    "which does not, is in the ±",
     "friction": "dry friction at speed, in the worse direction, of the named effects; "
     "viscous friction is in B",
     "friction_share": "the same over the rated pressure times the smaller piston area",
@@ -226,7 +227,7 @@ def indicators(found: Evidence, settings: Settings) -> tuple[Indicator, ...]:
 
 def _doubted(made: Indicator, parameter: str, found: Evidence) -> Indicator:
     """Return an indicator with what speaks against the parameter that it is made of."""
-    if made.status != indicator.AVAILABLE or parameter not in found.doubts:
+    if math.isnan(made.value) or parameter not in found.doubts:
         return made
     return replace(made, doubtful=True,
                    message=f"{made.message}; in doubt: {found.doubts[parameter]}")
@@ -271,12 +272,14 @@ def _damping(found: Evidence, settings: Settings) -> Indicator:
         return _unknown("damping", found.why.get("B", "not identified from this recording"), unit)
 
     def damping(values: Values) -> float:
-        return values["B"] / _thinner(values, settings)
+        return values["B"] / _thinner(values, settings) ** values["sheared"]
 
     at = _temperature_words(found, settings).removeprefix(", ")
     if found.temperature is None and found.warmth is None:
         at += ": record it, or set health.oil_temperature"
-    return _made("damping", damping, *_with_temperature(found, settings, ("B",)), (), at, unit)
+    values, covariance = _with_temperature(found, settings, ("B",))
+    return _made("damping", damping, {**values, "sheared": 1.0}, wider(covariance, [SHEARED]), (),
+                 at, unit)
 
 
 def _free_air(found: Evidence, settings: Settings) -> Indicator:

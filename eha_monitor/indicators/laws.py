@@ -54,6 +54,22 @@ def viscosity_factor(viscosity: Viscosity, temperature: float) -> float:
                            viscosity.grade, viscosity.at_100)
 
 
+# Of the power of the viscosity with which a machine's B goes: 1 where all of it is oil in shear, a
+# half where half is a seal's; the rms distance from 1 of what lies anywhere between the two.
+SHEARED = 0.5 / math.sqrt(3.0)
+
+
+def at_reference(viscosity: Viscosity, temperature: float, value: float, stddev: float
+                 ) -> tuple[float, float]:
+    """Return B at the reference temperature with its deviation, from that at ``temperature`` (°C).
+
+    The deviation holds that a part of B may not follow the viscosity (``SHEARED``), which grows
+    with the logarithm of the viscosities' ratio: a season is no wear.
+    """
+    factor = viscosity_factor(viscosity, temperature)
+    return factor * value, factor * math.hypot(stddev, SHEARED * value * math.log(factor))
+
+
 _UNIT_AIR = getattr(compliance, "py_func", compliance)
 LEAKS = ("cross_port_leakage", "turbulent_leakage", "leakage_offset")
 LOSSES = ("pump_flow_gain", "pump_volumetric_loss")

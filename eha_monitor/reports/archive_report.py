@@ -19,6 +19,7 @@ from eha_monitor.archive.history import (
     TOLD,
     Forecast,
     History,
+    first_of_copies,
     history,
 )
 from eha_monitor.archive.store import INDICATORS, PARAMETERS
@@ -58,9 +59,11 @@ def trend_words(found: History) -> str:
     line = found.line
     name = SYMBOLS.get(found.name) or WORDS[found.name]
     if line is None:
-        lately = int((found.usable & (found.time >= found.since)).sum())
-        return (f"No trend of {name}: it needs {LEAST} values at different times that converged, "
-                f"{lately} there{' since the last step' if found.outlook.jumps else ''}.")
+        lately = int((found.reliable & (found.time >= found.since)).sum())
+        undated = f", {found.undated} without a date" if found.undated else ""
+        return (f"No trend of {name}: it needs {LEAST} values at different times, of a model that "
+                f"fits or by least squares, {lately} there"
+                f"{' since the last step' if found.outlook.jumps else ''}{undated}.")
     slope, spread = MONTH * line.slope, MONTH * line.slope_stddev
     sign = "+" if slope > 0 else ""
     words = (f"Trend of {name}: {sign}{with_uncertainty(slope, spread, found.unit)} per 30 "
@@ -71,9 +74,6 @@ def trend_words(found: History) -> str:
     if line.scatter > 0:
         words += (f" They scatter by {quantity(line.scatter, found.unit, 2)} more than their own "
                   "uncertainty, which is included in that of the slope.")
-    if found.doubtful:
-        words += (" Fewer than three are from a model that fits: the line goes through values of "
-                  "a model that does not fit and shows changes only.")
     return words
 
 
@@ -102,7 +102,7 @@ def _forecast_words(one: Forecast, found: History) -> str:
         return f"Time to {limit}: no growth towards it."
     if not math.isfinite(one.early):
         return f"{name} grows, but does not reach {limit} within the forecast horizon."
-    now = float(found.time[found.usable][-1])
+    now = float(found.time[found.reliable][-1])
 
     def near(time: float) -> bool:
         return math.isfinite(time) and time - now < _NEVER * 365.25 * DAY
@@ -163,7 +163,7 @@ def _lines_of(name: str, settings: Settings) -> list[tuple[float, str]]:
 
 def _range(found: History, everything: bool) -> tuple[float, float]:
     """Return the range of the values that the line goes through, with the others that are near."""
-    good = found.usable if found.usable.any() else np.ones(len(found.time), dtype=bool)
+    good = found.reliable if found.reliable.any() else np.ones(len(found.time), dtype=bool)
     spread = 2 * fig.stated(found.value[good], np.nan_to_num(found.stddev[good], posinf=0.0))
     # A bar may be longer than all that there is to see.
     spread = np.minimum(spread, 2 * np.median(spread) + np.ptp(found.value[good]))
@@ -193,12 +193,11 @@ def _figure(found: History, view: tuple[float, float], lines: list[tuple[float, 
                       fig.Side(SYMBOLS.get(found.name) or WORDS[found.name], scale,
                                limits=(bottom, top)))
     if found.line is not None:
-        used = found.time[found.usable & (found.time >= found.since)]
+        used = found.time[found.reliable & (found.time >= found.since)]
         time = np.linspace(used[0], used[-1], 60)
         line, stddev = found.line.at(time)
         panel.add(fig.Band(time, line - stddev, line + stddev, opacity=0.13),
-                  fig.Curve(time, line, "trend ± 1σ",
-                            dash="dash" if found.doubtful else "solid"))
+                  fig.Curve(time, line, "trend ± 1σ"))
     for chosen, face, words in ((found.reliable, colour, "value ± 1σ"),
                                 (~found.reliable, "#ffffff", "in doubt ± 1σ")):
         here = chosen & (value > bottom) & (value < top)
@@ -316,7 +315,11 @@ def summary_words(rows: Sequence[dict], command: str) -> str:
     alarms = Counter(row.get("alarm") for row in answered)
     parts = [f"{alarms[level]} {how}{level}" for level, how in (
         ("ERROR", "with "), ("WARN", "with "), (NOT_JUDGED, "")) if alarms[level]]
-    words = [", ".join(parts) or "no alarm at the end of any recording"]
+    nothing = ("no limit is set, so that no alarm was judged" if answered and set(alarms) == {None}
+               else "no alarm at the end of any recording")
+    words = [", ".join(parts) or nothing]
+    if copies := len(answered) - len(first_of_copies(answered)):
+        words.append(f"{copies} of the same moment as another count once")
     if misfits := sum(row.get("model") == "mismatch" for row in answered):
         words.append(f"in {misfits} the model does not fit")
     if command == "diagnose":
