@@ -224,6 +224,28 @@ class Beside:
                                    moved.removed, moved.rivals))
         return made, fits[best]
 
+    def sure(self, alone: list[Moved], changes: list[Moved], now: dict[str, float]
+             ) -> tuple[list[Moved], dict[str, float]]:
+        """Return several changes without those that are within their own deviations.
+
+        A second one is what the first, found alone, has left: of a leak that has grown fourfold
+        0.9 +- 0.5 beside 71.
+
+        Parameters
+        ----------
+        alone : the changes as they were found; ``changes``, ``now`` as fitted together.
+        """
+        unsure = next((moved for moved in reversed(changes[1:]) if abs(
+            moved.here - moved.machine) < self.policy.varied * moved.apart), None)
+        if unsure is None:
+            return changes, now
+        left = [moved for moved in changes if moved is not unsure]
+        now = self.joint([moved.candidate.name for moved in left])
+        if len(left) > 1:
+            return self.sure(alone, *self.together(left, now))
+        first = left[0].candidate.name
+        return [next((one for one in alone if one.candidate.name == first), left[0])], now
+
     def joint(self, names: Sequence[str]) -> dict[str, float]:
         """Return the parameters with some of them fitted at once, beside the oil."""
         table, oil = self.table, {
@@ -396,7 +418,7 @@ class Beside:
         """Return what has changed in the balance, its constant load last, beside all else."""
         one, table, free = self.one, self.table, self.free
         changes, now, complete, largest, small = self.search()
-        changes, now = self.together(changes, now)
+        changes, now = self.sure(changes, *self.together(changes, now))
         now = self.at_best(now, {moved.candidate.name for moved in changes})
         load, held = _load(machine, one, table, now, free), self.held
         if load is not None and not any(self.holds(moved, load) for moved in changes):
