@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from machine_tools import healthy_machine, stranger, stranger_settings
 from mismatch_tools import recorded
+from rig_tools import MULTISINE, simulated
 from rig_tools import settings as rig_settings
 from scipy.signal import lfilter
 from test_filters_effects import CASES, recording_of
@@ -754,3 +755,17 @@ def test_what_softer_oil_takes_up_is_seen_against_the_rate_of_the_pressure():
     assert slope == pytest.approx((0.5 * soft - term.value) * volume, rel=0.15, abs=0.0)
     assert np.allclose(curve.modelled, (0.5 * soft - term.value) * volume * curve.x, rtol=0.05,
                        atol=0.02 * np.abs(curve.modelled).max())
+
+
+def test_an_effect_of_the_config_that_makes_a_flow_which_is_not_there_is_told():
+    """A stranger's check valve: by the data sheet it opens above what a healthy day has."""
+    run = simulated(MULTISINE, 12.0)
+
+    def said(opens):
+        valve = {"anti_cavitation": {"k": 3e-9, "p_min": opens * run.config.rig.charge_pressure}}
+        found = answered([run.recording(0)], run.config.model_copy(update={"effects": valve}))
+        return [line for line in found.health if "of the config makes" in line]
+
+    (line,) = said(0.99)
+    assert line.startswith("anti cavitation") and "leave it out of the config" in line
+    assert not said(0.2)

@@ -9,7 +9,7 @@ import numpy as np
 
 from eha_monitor.balances import places
 from eha_monitor.balances.advice import STIFF, advice_of
-from eha_monitor.balances.baseline import baseline
+from eha_monitor.balances.baseline import baseline, contradicted
 from eha_monitor.balances.candidates import (
     LINEAR,
     SIDES,
@@ -138,7 +138,8 @@ def answered(recordings: Sequence[Recording], settings: Settings, asked: Asked =
         advice=advice_of(models, machine) + found.advice + ((STIFF,) if _no_oil(
             models, found, rig) else ()),
         health=found.health + (() if machine is None else tuple(
-            f"{one.source} does not belong: {one.why}" for one in machine.odd)) + left_out,
+            f"{one.source} does not belong: {one.why}" for one in machine.odd)) + left_out
+        + contradicted(courses, baselines, settings, policy),
         remarks=() if machine is None else lines_of(machine),
         considered=untestable, machine=machine,
         belonging=None if machine is None else of_those_that_belong(

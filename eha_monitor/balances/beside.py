@@ -180,7 +180,7 @@ class Beside:
             if changes and not self.beyond(name, step, now):
                 return changes, now, True, largest, None
             # Nor is it told where it is less than what is open of it, by the form of its columns.
-            if abs(step) < moved.apart or not self.matters(
+            if abs(step) < policy.varied * moved.apart or not self.matters(
                     self.owned(name), step, before, after):
                 surely = abs(moved.deviations) > moved.limit
                 return changes, now, True, largest, _small(moved) if surely else None

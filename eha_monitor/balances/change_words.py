@@ -101,10 +101,11 @@ def in_share(moved: Moved, change: Change) -> str:
         if abs(more) < 1.0:  # of a correction that is nearly nil, 320 % say nothing
             by = (f", {'+' if more > 0.0 else ''}"
                   f"{with_uncertainty(100.0 * more, 100.0 * doubt, '%')}")
-    elif change.unit == "Pa" and moved.deviations:
-        more = change.now.value / healthy.value - 1.0
-        by = (f", {'+' if more > 0.0 else ''}" + with_uncertainty(
-            100.0 * more, 100.0 * abs(more / moved.deviations), "%"))
+    elif change.unit == "Pa" and POLICY.sure(healthy.value, healthy.stddev):
+        ratio = change.now.value / healthy.value
+        by = f", {'+' if ratio > 1.0 else ''}" + with_uncertainty(
+            100.0 * (ratio - 1.0), 100.0 * ratio * np.hypot(
+                change.now.stddev / change.now.value, healthy.stddev / healthy.value), "%")
     rivals = [effect_words(name) for name in change.indistinguishable_from]
     return change.statement + by + (
         f" ({listed(rivals, 'or')} would explain it as well)" if rivals else "")
