@@ -25,7 +25,14 @@ from eha_monitor.indicators.laws import (
     volumetric_efficiency,
     walther,
 )
-from eha_monitor.mismatch.diagnosis import Diagnosis, Fitted, Location, NamedEffect, Value
+from eha_monitor.mismatch.diagnosis import (
+    Change,
+    Diagnosis,
+    Fitted,
+    Location,
+    NamedEffect,
+    Value,
+)
 from eha_monitor.physics.balances import rates
 from eha_monitor.physics.effects.oil import compliance
 from eha_monitor.physics.parameters import theta_of
@@ -232,6 +239,20 @@ def test_a_diagnosis_gives_its_joint_covariance():
     lag = of(evidence, settings_with(), "drive_lag")
     assert lag.shown == "5.00 ± 0.20 ms"  # the answer's own, which is larger than the fit's
     assert "coulomb_friction.F_c" not in evidence.values  # the answer does not name it
+
+
+def test_a_leakage_that_a_comparison_finds_is_the_indicator():
+    """It had been 98.4 +- 2.9 in the sentence, and "not identified" in the table below."""
+    from eha_monitor.indicators.assemble import evidence_of_diagnosis
+
+    unit = "m³/(s·Pa)"
+    leak = Change("cross_port_leakage", "L", "flow", Value(4e-13, 4e-14, unit),
+                  Value(1.6e-12, 5e-14, unit), unit, "")
+    found = Diagnosis(("a",), "mismatch", "", Location({}, "", ()), (), {}, {}, "held_out", {},
+                      references=("b",), changes=(leak,))
+    flow = of(evidence_of_diagnosis(found, [], settings_with()), settings_with(), "leakage")
+    assert flow.value == pytest.approx(6e7 * 1.6e-12 * 14e6)
+    assert flow.stddev == pytest.approx(6e7 * 5e-14 * 14e6)
 
 
 def test_a_law_that_took_the_place_of_the_configs_counts_once_and_others_add():

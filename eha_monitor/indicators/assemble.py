@@ -141,7 +141,11 @@ def evidence_of_diagnosis(found: Diagnosis, recordings: Sequence[Recording], set
     values, covariance = fitted_values(found)
     why = {}
     if "leakage" not in values:
-        if any(name.partition(".")[0] in LEAKS for name in values):
+        grown = next((one.now for one in found.changes if one.symbol == "L"), None)
+        if grown is not None:  # of a comparison: all that leaks across the piston, the half of C_T
+            values = values | {"leakage": 2.0 * grown.value}
+            covariance = wider(covariance, [2.0 * grown.stddev])
+        elif any(name.partition(".")[0] in LEAKS for name in values):
             # The config's leakage, as uncertain as its tolerance says.
             values = values | {"leakage": settings.rig.leakage}
             covariance = wider(covariance, [
