@@ -13,7 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from eha_monitor.balances.course import Course
-from eha_monitor.balances.least_squares import independent, inverse_of, signed_solution
+from eha_monitor.balances.least_squares import beside as left_beside
+from eha_monitor.balances.least_squares import independent, inverse_of, rms, signed_solution
 from eha_monitor.balances.measured import course_of, known_of
 from eha_monitor.balances.policy import Policy
 from eha_monitor.balances.table import areas_apart, flow_columns
@@ -172,22 +173,26 @@ def contradicted(courses: Sequence[Course], baselines: Sequence[Baseline], setti
                  policy: Policy) -> tuple[str, ...]:
     """Return which effects of the config make a flow that recordings do not have, a sentence each.
 
-    Least squares on the flow ask for none of them.  Where what one makes of the measured motion is
-    more than ``worse`` of the flow, and more than twice what these leave, it is not there: a check
-    valve that opens 0.1 bar too early made 400 ml/min of a healthy press.
+    Least squares on the flow ask for none of them.  Where what one makes of the measured motion,
+    beside their columns, is more than ``worse`` of the flow, and more than twice what they leave,
+    it is not there: a check valve that opens 0.1 bar too early made 400 ml/min of a healthy press.
     """
     rig, found = settings.rig, []
     for name, values in settings.effects.items():
         if name not in CATALOGUE or CATALOGUE[name].balance != "flow":
             continue
         for course, first in zip(courses, baselines, strict=True):
-            if first.flow is None:
+            view = flow_columns(course, rig)
+            if first.flow is None or view is None:
                 continue
             with_it, without = (known_of(course, rig, *theta_of(rig, effects))["flow"]
                                 for effects in ({name: values}, {}))
-            made, taken = (np.std(course.in_band(one)) for one in (
-                course.of_filled(*(with_it - without)), course.taken(rig)))
-            much, left = float(made / max(taken, 1e-300)), first.flow.error_share
+            rows = course.in_band(np.column_stack([
+                view[0], course.of_filled(*(with_it - without)), *(one[-1] for one in view[1])]))[
+                    course.compared(course.counted("flow"))]
+            taken = max(float(np.std(rows[:, 0])), 1e-300)
+            much = rms(left_beside(rows[:, 1], rows[:, 2:])) / taken
+            left = first.flow.error_share
             if much > max(policy.worse, 2.0 * left):
                 found.append(
                     f"{effect_words(name)} of the config makes {share(much, 2)} of the flow of "
