@@ -13,7 +13,7 @@ import pytest
 from archive_tools import here, killed_by_three
 from command_tools import refused
 from diagnosis_tools import coulomb, everything
-from rig_tools import write_channels
+from rig_tools import MULTISINE, simulated, write_channels
 from test_reports import Page
 
 from eha_monitor.api.diagnose import answer as diagnosis_tree
@@ -399,3 +399,27 @@ def test_what_is_not_judged_is_no_ok_in_a_row():
     row = estimate_columns(tree)
     assert (row["viscous_damping_high"], row["bulk_modulus_low"]) == ("not judged", "OK")
     assert (row["alarm"], row["alarm_message"]) == ("not judged", "not judged: B 1080")
+
+
+def test_each_bag_of_a_folder_is_judged_against_the_healthy_machine(tmp_path, capsys):
+    """What a machine's weeks are: three healthy days, then dry friction."""
+    folder, file, out = tmp_path / "weeks", tmp_path / "machine.json", tmp_path / "out"
+    folder.mkdir()
+    for day in range(4):
+        shape = {**MULTISINE, "frequency_end": 4.0, "seed": day}
+        dry = {"coulomb_friction": {"F_c": 40.0}} if day == 3 else {}
+        run = simulated(shape, 12.0, effects=dry)
+        write_channels(folder / f"d{day}", run.recording(day).channels, run.config,
+                       start_ns=START + day * 86_400 * 10**9)
+    healthy = [str(folder / f"d{day}") for day in range(3)]
+    assert main(["diagnose", *healthy, "--machine", str(file)]) == 0
+    judged = ["diagnose", str(folder), "--machine", str(file), "--out", str(out), "--jobs", "1"]
+    assert main([*judged, "--exit-code"]) == 1
+    rows = rows_of(out, "diagnose")
+    assert [rows[f"d{day}"]["verdict"] for day in range(4)] == ["consistent"] * 3 + ["mismatch"]
+    assert rows["d3"]["effects"][0]["name"] == "coulomb_friction"
+    capsys.readouterr()
+    file.write_text(file.read_text() + "\n")  # another machine: all anew
+    assert main(judged) == 0
+    assert "4 bags, 4 processed now" in capsys.readouterr().out
+    assert main([*judged[:3], str(tmp_path / "none.json"), "--out", str(out)]) == 2

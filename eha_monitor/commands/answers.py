@@ -96,8 +96,8 @@ def estimate(bag: Path, config: Path | None, json_file: Path | None, report_file
 @click.option("--vary", multiple=True, type=click.Choice(["load"]),
               help="What is known to differ between several BAGs.")
 @click.option("--machine", "machine_file", type=common.FILE, metavar="FILE",
-              help="With several BAGs: write the machine that they show. With one: judge it "
-                   "against that machine, in a fraction of a second (docs/one_machine.md).")
+              help="With several BAGs: write the machine that they show. With one, or a folder of "
+                   "bags: judge each against that machine, in seconds (docs/one_machine.md).")
 @click.option("--exit-code", is_flag=True,
               help="Exit with 1 if the model does not fit the recording.")
 @common.archive_options
@@ -118,10 +118,10 @@ def diagnose(bags: tuple[Path, ...], config: Path | None, json_file: Path | None
                          + ", ".join(map(str, bags)))
     if archive.covers(bags[0], json=json_file, report=report_file, write_config=config_file,
                       out_bag=out_bag, held_out=held_out, hypothesis=hypothesis_file,
-                      reference=references, without=without, vary=vary, machine=machine_file):
+                      reference=references, without=without, vary=vary):
         from eha_monitor.commands.archive_rows import answer_folder
 
-        return int(answer_folder("diagnose", bags[0], config, archive) and exit_code)
+        return int(answer_folder("diagnose", bags[0], config, archive, machine_file) and exit_code)
     from eha_monitor.api.config import config_of
     from eha_monitor.api.diagnose import bags_of, completed, known_effects, refusal, written_config
     from eha_monitor.api.diagnose import diagnose as run

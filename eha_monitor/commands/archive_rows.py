@@ -45,7 +45,8 @@ _RIG = ("key", "configured", "probability", "statement", "indistinguishable_from
 class Task:
     """What a process needs to make a row: name in the table, path, and how to answer.
 
-    ``report`` is the page of this bag, to be written beside the row; None for none.
+    ``report`` is the page of this bag, to be written beside the row; ``machine`` the file of the
+    healthy machine that it is judged against; None for none.
     """
 
     name: str
@@ -55,23 +56,32 @@ class Task:
     stamp: str
     made_with: str
     report: Path | None = None
+    machine: Path | None = None
 
 
-def answer_folder(command: str, folder: Path, config: Path | None, options: Archive) -> bool:
+def answer_folder(command: str, folder: Path, config: Path | None, options: Archive,
+                  machine: Path | None = None) -> bool:
     """Bring the table of a folder up to date; tell whether any bag is not well.
 
-    Raises InputError if no bag of the folder could be answered, or the table cannot be written.
+    With ``machine``, a file, ``diagnose`` judges each bag against it.  Raises InputError if no bag
+    of the folder could be answered, the table cannot be written, or there is no such machine.
     """
     end_as_on_interrupt()
     check_parquet()
     settings = load_settings(config)
     made_with = digest_of(command, settings)
+    if machine is not None:
+        from eha_monitor.balances.machine import load
+
+        load(machine, settings.rig)
+        machine = machine.absolute()
+        made_with = hashlib.sha256(made_with.encode() + machine.read_bytes()).hexdigest()[:16]
     with ExitStack() as open_ones:
         cluster = None if options.scheduler is None else open_ones.enter_context(
             connected(options.scheduler, command))
         store = open_ones.enter_context(Store(options.out or OUT, command, folder))
         todo, failed = plan(store, find_bags(folder), command, settings, made_with,
-                            options.keep or "same", bool(options.reports))
+                            options.keep or "same", bool(options.reports), machine)
         for row in failed:
             store.add(row)
         try:
@@ -100,7 +110,8 @@ def digest_of(command: str, settings: Settings) -> str:
 
 
 def plan(store: Store, places: list[Place], command: str, settings: Settings,
-         made_with: str, keep: str, reports: bool = False) -> tuple[list[Task], list[dict]]:
+         made_with: str, keep: str, reports: bool = False, machine: Path | None = None
+         ) -> tuple[list[Task], list[dict]]:
     """Return the bags that are to be answered, and rows of those that cannot even be looked at.
 
     A row stays where the bag's files have the same names, sizes and times, and config, options
@@ -119,7 +130,7 @@ def plan(store: Store, places: list[Place], command: str, settings: Settings,
         except OSError as reason:
             stamp, problem = "", f"{place.path}: cannot read bag: {reason.strerror}"
         task = Task(place.name, place.path, command, settings, stamp, made_with,
-                    store.report_of(place.name).absolute() if reports else None)
+                    store.report_of(place.name).absolute() if reports else None, machine)
         if problem:
             failed.append(error_row(task, problem))
             continue
@@ -215,7 +226,7 @@ def _fill(row: dict, task: Task) -> None:
     if task.command == "diagnose":
         from eha_monitor.api.diagnose import diagnose
 
-        last = diagnose(found.recording, config)
+        last = diagnose(found.recording, config, machine=task.machine)
         row.update(diagnosis_columns(last.to_dict()))
     row.update(indicator_columns(last.indicators))
     if task.report is not None:
