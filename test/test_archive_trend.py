@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from eha_monitor.archive.history import MONTH, history, trend
+from eha_monitor.archive.history import MONTH, history, outlook, trend
 from eha_monitor.archive.store import iso_time
 from eha_monitor.reports.archive_report import history_block, summary_words, trend_words
 from eha_monitor.settings import Settings
@@ -108,3 +108,14 @@ def test_an_alarm_that_nobody_asked_for_is_no_ok():
     assert "no limit is set, so that no alarm was judged" in summary_words(rows, "estimate")
     rows[0]["alarm"] = "OK"
     assert "no alarm at the end of any recording" in summary_words(rows, "estimate")
+
+
+def test_what_is_beyond_its_limit_is_not_said_to_have_no_growth():
+    """A stranger's leak: 470 to 1190 ml/min in eight recordings, the limit 900."""
+    values = [(480.0, 390.0), (470.0, 290.0), (630.0, 76.0), (775.0, 89.0), (765.0, 88.0),
+              (950.0, 100.0), (1030.0, 106.0), (1190.0, 111.0)]
+    time = START + 4.0 * DAY * np.arange(8)
+    for count, status in ((5, "cannot_be_told_yet"), (8, "beyond")):
+        value, stddev = np.array(values[:count]).T
+        (one,) = outlook(time[:count], value, stddev, (None, 900.0)).forecasts
+        assert one.status == status

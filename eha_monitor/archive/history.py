@@ -23,7 +23,7 @@ have not.  Where nothing grows it exceeds 1/q with probability q at most, howeve
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from types import SimpleNamespace
 
@@ -48,6 +48,7 @@ NOISES = np.geomspace(0.25, 8.0, 6)  # times what the first differences show
 FIRST = 8  # values whose differences tell roughly how large the noise is
 HYPOTHESES = 1500  # kept
 SAMPLES = 4000
+CLEAR = 2.0  # standard deviations by which the last value is beyond a limit, whatever came before
 SHORT = 0.02  # of the limit: a shorter way to it is none
 LAST = 400  # values: a filter bank takes about a millisecond for each
 TAILS = (0.05, 0.5, 0.95)
@@ -350,10 +351,15 @@ class Outlook:
 
 @lru_cache(maxsize=64)
 def _looked_at(table: bytes, limit: float, above: bool) -> Forecast:
-    series = Series(limit, above)
-    for time, value, stddev in np.frombuffer(table).reshape(-1, 3)[-LAST:]:
+    series, rows = Series(limit, above), np.frombuffer(table).reshape(-1, 3)[-LAST:]
+    for time, value, stddev in rows:
         series.add(float(time), float(value), float(stddev))
-    return series.forecast()
+    found = series.forecast()
+    if found.status in (NOT_YET, STEADY) and len(rows):
+        time, value, stddev = map(float, rows[-1])
+        if (1.0 if above else -1.0) * (value - limit) > CLEAR * stddev:
+            return replace(found, status=BEYOND, early=time, middle=time, late=time)
+    return found
 
 
 def outlook(time: np.ndarray, value: np.ndarray, stddev: np.ndarray,

@@ -68,9 +68,10 @@ def trend_words(found: History) -> str:
     sign = "+" if slope > 0 else ""
     words = (f"Trend of {name}: {sign}{with_uncertainty(slope, spread, found.unit)} per 30 "
              f"days, through {line.count} recordings")
-    if line.level:
+    significant = abs(slope) > 2 * spread
+    if line.level and significant:
         words += f" ({sign}{number(100 * slope / abs(line.level), 2)} % per 30 days)"
-    words += "." if abs(slope) > 2 * spread else ": not significant."
+    words += "." if significant else ": not significant."
     if line.scatter > 0:
         words += (f" They scatter by {quantity(line.scatter, found.unit, 2)} more than their own "
                   "uncertainty, which is included in that of the slope.")
@@ -320,7 +321,8 @@ def summary_words(rows: Sequence[dict], command: str) -> str:
     words = [", ".join(parts) or nothing]
     if copies := len(answered) - len(first_of_copies(answered)):
         words.append(f"{copies} of the same moment as another count once")
-    if misfits := sum(row.get("model") == "mismatch" for row in answered):
+    misfits = sum(row.get("model") == "mismatch" for row in answered)
+    if misfits and command == "estimate":  # of a diagnosis its verdict says it
         words.append(f"in {misfits} the model does not fit")
     if command == "diagnose":
         verdicts = Counter(row.get("verdict") for row in answered)
