@@ -179,7 +179,7 @@ class Beside:
                                scatter.limit[i], before - after, rivals)
             if changes and not self.beyond(name, step, now):
                 return changes, now, True, largest, None
-            # Nor is it told where it is less than what is open of it, by the form of its columns.
+            # Nor is it told within three of its own deviations, the form of its columns in them.
             if abs(step) < policy.varied * moved.apart or not self.matters(
                     self.owned(name), step, before, after):
                 surely = abs(moved.deviations) > moved.limit

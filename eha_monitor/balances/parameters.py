@@ -5,9 +5,9 @@
 
 ``known`` is what the config's effects add along the measured motion.  Mass, load, dry friction,
 displacement and leakage stand beside as free numbers, so that a wrong one of the config, or one
-that wears, moves neither parameter.  A
-filter that follows a model sample by sample is more precise where that model is right, and led
-astray where it is not; these two equations ask for so little that a stranger's machine meets them.
+that wears, moves neither parameter.  A filter that follows a model sample by sample is more
+precise where that model is right, and led astray where it is not; these two equations ask for so
+little that a stranger's machine meets them.
 
 A straight line through friction over speed reads its fall as less damping.  How it falls nobody
 knows: over 1 to 50 mm/s, as an exponential, as a normal curve, or it only turns round slowly.
