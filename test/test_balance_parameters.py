@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 from machine_tools import healthy_machine
-from rig_tools import BETA, CHIRP, MULTISINE, SINE, TRIANGLE, B, settings, simulated, without
+from rig_tools import BETA, C_T, CHIRP, MULTISINE, SINE, TRIANGLE, B, settings, simulated, without
 
 from eha_monitor.api.estimate import answer, judged, judged_series
 from eha_monitor.balances.baseline import baseline
@@ -30,6 +30,7 @@ from eha_monitor.estimation.results import (
     stands,
 )
 from eha_monitor.health.alarms import AlarmBoard
+from eha_monitor.indicators.assemble import evidence_of_estimate
 from eha_monitor.live.estimator import LiveEstimator
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.ros.findings import DataState, all_findings
@@ -350,3 +351,17 @@ def test_air_is_told_where_the_timing_hides_the_healthy_compliance():
     assert (found.verdict, change.what) == ("mismatch", "beta_e")
     assert abs(change.now.value - 2e8) < 2.0 * change.now.stddev
     assert against(machine, [recorded(0.02, 9)], settings(), ("healthy",)).verdict == "consistent"
+
+
+@pytest.mark.parametrize("leak", [1.0, 6.0])
+def test_a_leakage_is_known_beside_effects_of_the_config(leak):
+    # No joint filter runs there, and a limit of the leakage was never judged.
+    spring = {"spring_load": {"k": 2e4}}
+    run = simulated({**MULTISINE, "frequency_end": 4.0}, 24.0, rig={"leakage": leak * C_T},
+                    effects=spring)
+    known = settings(effects=spring)
+    found = estimate(run.recording(0), known)
+    assert found.joint is None and found.leakage.status == "converged"
+    assert found.leakage.value == pytest.approx(leak * C_T, abs=2.0 * found.leakage.stddev)
+    assert evidence_of_estimate(found).values["leakage"] == found.leakage.value
+    assert estimate(without(run.recording(0), "omega"), known).leakage is None

@@ -208,7 +208,10 @@ def test_amplitudes_are_those_of_least_squares(settings):
     course = course_of(stranger(0, **CALM), settings)
     (table,) = tables_of([course], settings.rig, "force", candidates_of(
         "force", Scale.of([course]), settings.rig), POLICY)
-    found = amplitudes_of(table, {"B": 1200.0}, ["F_0"], ["B", "F_c", "k"])
+    errors = {"B": np.array([30.0, 0.0]), "F_c": np.array([2.0, 5.0])}
+    found, off = (amplitudes_of(table, weights, ["F_0"], ["B", "F_c", "k"], errors=errors)
+                  for weights in ({"B": 1200.0}, {"B": 1230.0, "F_c": 2.0}))
+    assert off.value == pytest.approx(found.value - found.common[:, 0], rel=1e-6)
     rows = table.rows[table.good]
     for i, name in enumerate(found.names):
         columns = rows[:, [table.places[name], table.places["F_0"]]]

@@ -105,10 +105,11 @@ def test_spread_between_recordings_is_found():
 def test_random_effects_are_the_closed_form_of_a_balanced_design():
     each, sigma = np.random.default_rng(1).normal(5.0, 2.0, 12), 0.5
     products = np.column_stack([each, np.ones(12)])[:, None, :] / sigma**2
-    value, between, stddev = random_effects(products, np.zeros(1), np.zeros(1), np.ones(1))
+    value, between, covariance = random_effects(
+        products, np.zeros(1), np.zeros(1), np.ones(1))
     assert value[0] == pytest.approx(each.mean(), rel=1e-9)
     assert between[0] == pytest.approx(np.sqrt(each.var(ddof=1) - sigma**2), rel=0.01)
-    assert stddev[0] == pytest.approx(each.std(ddof=1) / np.sqrt(12), rel=0.02)
+    assert covariance[0, 0] == pytest.approx(each.var(ddof=1) / 12, rel=0.04)
 
 
 def test_what_no_recording_tells_alone_all_of_them_do():
@@ -117,10 +118,13 @@ def test_what_no_recording_tells_alone_all_of_them_do():
     rows = np.column_stack([speeds, np.ones(9)])
     y = rows @ [300.0, 20.0] + sigma * rng.standard_normal(9)
     products = rows[:, :, None] * np.column_stack([y, rows])[:, None, :] / sigma**2
-    value, _, stddev = random_effects(products, np.zeros(2), np.zeros(2), np.array([60.0, 4.0]))
-    grams = products[:, :, 1:]
+    value, _, covariance = random_effects(
+        products, np.zeros(2), np.zeros(2), np.array([60.0, 4.0]))
+    stddev, whole = np.sqrt(np.diag(covariance)), np.linalg.inv(products[:, :, 1:].sum(axis=0))
     assert value == pytest.approx([300.0, 20.0], abs=3.0 * stddev.max())
-    assert stddev == pytest.approx(np.sqrt(np.diag(np.linalg.inv(grams.sum(axis=0)))), rel=0.6)
+    assert stddev == pytest.approx(np.sqrt(np.diag(whole)), rel=0.6)
+    assert covariance[0, 1] / stddev.prod() == pytest.approx(
+        whole[0, 1] / np.sqrt(whole.diagonal().prod()), abs=0.05)
 
 
 def test_a_number_that_differs_between_recordings_is_not_the_joint_fits():
@@ -131,11 +135,11 @@ def test_a_number_that_differs_between_recordings_is_not_the_joint_fits():
     y = [b * v + 80.0 * np.sign(v) + bend + 0.05 * rng.standard_normal(200) for b in own]
     products = np.array([rows.T @ np.column_stack([one, rows]) for one in y]) / 0.05**2
     alone = np.array([np.linalg.solve(one[:, 1:], one[:, 0]) for one in products])
-    value, between, stddev = random_effects(products, np.ones(2), np.zeros(2),
-                                            np.array([600.0, 16.0]))
+    value, between, covariance = random_effects(products, np.ones(2), np.zeros(2),
+                                                np.array([600.0, 16.0]))
     assert value == pytest.approx(alone.mean(axis=0), rel=1e-3)
     assert between[0] == pytest.approx(own.std(ddof=1), rel=0.02)
-    assert stddev[0] == pytest.approx(own.std(ddof=1) / np.sqrt(8), rel=0.02)
+    assert covariance[0, 0] == pytest.approx(own.var(ddof=1) / 8, rel=0.04)
 
 
 def test_gain_is_a_log_ratio_with_its_t():

@@ -66,6 +66,17 @@ def test_a_pressure_sensor_of_another_scale_is_among_what_is_told(healthy, off):
         or "too little" in change.statement or "pressure_scale" in change.indistinguishable_from)
 
 
+def test_a_transmitter_of_another_range_is_no_load_and_no_leak(healthy):
+    # What its scale makes of a load is but the first guess of it.
+    recording = now()
+    channels = recording.channels | {"p1": recording.channels["p1"] * 0.64}
+    found = compared([replace(recording, channels=channels)], healthy, settings(rig=LEAKS))
+    (change,) = found.changes
+    assert (found.verdict, change.what, change.symbol) == ("mismatch", "pressure_scale", "k_1")
+    assert change.now.value == pytest.approx(-0.36, abs=2.0 * change.now.stddev)
+    assert change.now.stddev < 0.05
+
+
 def test_a_load_is_no_error_of_a_sensor(healthy):
     found = compared([now(LOADED)], healthy, settings(rig=LEAKS))
     (change,) = found.changes

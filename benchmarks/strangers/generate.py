@@ -126,6 +126,14 @@ def leaks_by(rig: StrangerRig) -> float:
     return math.log((2 * c.cross_leakage + c.makeup) / rig.sheet.leakage) / ERRORS["leakage"]
 
 
+def leakage_of_both(rig: StrangerRig) -> float:
+    """Return C_T, by which the mean of both chambers leaks, of equal areas, m^3/(s Pa)."""
+    c = rig.plant
+    makeup = c.makeup if c.makeup_2 < 0 else c.makeup_2
+    case = c.case_leakage if c.case_leakage_2 < 0 else c.case_leakage_2
+    return 2.0 * c.cross_leakage + 0.5 * (c.makeup + makeup + c.case_leakage + case)
+
+
 def leak_beyond(rig: StrangerRig) -> float:
     """Return the conductance between the chambers beyond the sheet's, m^3/(s Pa)."""
     return rig.plant.cross_leakage - 0.5 * (rig.sheet.leakage - rig.sheet.makeup)

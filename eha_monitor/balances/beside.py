@@ -110,7 +110,8 @@ class Beside:
             healthy = max(c.sign * healthy, c.least) * c.sign
         form = float(np.linalg.norm([share * forms.get(other, 0.0)
                                      for other, share in alike.items()]))
-        spread, doubt = float(np.hypot(scatter.spread[i], form)), self.doubt_of(c)
+        spread, doubt = float(np.hypot(scatter.spread[i], form)), float(np.hypot(
+            self.doubt_of(c), scatter.owed(found)[scatter.names.index(c.name)]))
         return Moved(c, base + float(found.value[i]),
                      float(np.linalg.norm((found.stddev[i], spread, doubt))),
                      healthy, spread, float(t), limit, removed, rivals,
@@ -144,7 +145,8 @@ class Beside:
         names = [name for name in one.scatter.names
                  if name in table.places and name in one.beside.names]
         scatter, beside = one.scatter.only(names), one.beside.only(names)
-        left, free_oil = (amplitudes_of(table, self.held, self.free, names, spreads)
+        left, free_oil = (amplitudes_of(table, self.held, self.free, names, spreads,
+                                        one.errors_of)
                           for spreads in (self.loose, self.oil))
         first, now, changes, largest = left, dict(self.held), [], None
         while names:
@@ -218,7 +220,8 @@ class Beside:
             others = [other for other in best if other != name]
             left = amplitudes_of(
                 self.table, self.held, [*self.free, *others], own,
-                {other: spread for other, spread in self.oil.items() if other not in best})
+                {other: spread for other, spread in self.oil.items() if other not in best},
+                self.one.errors_of)
             at = own.index(name)
             made.append(self.moved(scatter, left, at, moved.deviations, moved.limit,
                                    moved.removed, moved.rivals))
@@ -262,7 +265,7 @@ class Beside:
         """Return by how much each term has moved and the squares that are gone with it, (k,)."""
         amount, gone = np.array([left.gone_with(self.oil, self.policy.varied, i, mean)
                                  for i, mean in enumerate(scatter.mean)]).T
-        known = np.hypot(left.stddev, scatter.spread)
+        known = np.linalg.norm([left.stddev, scatter.spread, scatter.owed(left)], axis=0)
         for i, name in enumerate(left.names):
             less = self.less_than_nothing(name, now.get(name, 0.0) + amount[i])
             if self.of[name].quantity in taken or less > self.policy.varied * known[i]:
@@ -465,7 +468,8 @@ def _farther(scatter: Scatter, left: Amplitudes, beside: Scatter, loose: Amplitu
     rows = []
     for own, found in ((scatter, left), (beside, loose)):
         t, mean = own.t_of(found), np.array(own.mean)
-        known = np.abs(found.value - mean) > policy.varied * np.array(found.stddev)
+        known = np.abs(found.value - mean) > policy.varied * np.hypot(
+            found.stddev, own.owed(found))
         limits = np.abs(t) / np.array(own.limit)
         rows.append((t * np.array(scatter.limit) / np.array(own.limit),
                      np.where(np.isfinite(t) & known, limits, 0.0)))

@@ -67,7 +67,7 @@ def signed_solution(gram: np.ndarray, side: np.ndarray, signs: np.ndarray,
 
 def random_effects(products: np.ndarray, signs: np.ndarray, least: np.ndarray, start: np.ndarray
                    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the mean of parameters that differ from recording to recording, spread, deviations.
+    """Return the mean of parameters that differ from recording to recording, spread, covariance.
 
     w_i ~ N(w, T), T diagonal (Laird, Ware 1982), and each recording says of its own w_i no more
     than its Gram matrix P_i holds, which need not be regular: with W_i = (P_i^-1 + T)^-1
@@ -87,11 +87,12 @@ def random_effects(products: np.ndarray, signs: np.ndarray, least: np.ndarray, s
     Returns
     -------
     tuple
-        (k,) mean, spread between recordings, deviation of the mean.
+        (k,) mean, (k,) spread between recordings, (k, k) covariance of the mean, infinite along
+        what no recording says.
     """
     k = len(start)
     if not k:
-        return (np.zeros(0),) * 3
+        return np.zeros(0), np.zeros(0), np.zeros((0, 0))
     grams, sides = products[:, :, 1:], products[:, :, 0]
     size = np.sqrt(np.maximum(grams.sum(axis=0).diagonal(), 1e-300))
     grams, sides = grams / np.outer(size, size), sides / size
@@ -112,8 +113,8 @@ def random_effects(products: np.ndarray, signs: np.ndarray, least: np.ndarray, s
             score / np.maximum(expected, 1e-12)), 0.2, 5.0)
         if np.all(np.abs(spread - before) <= SETTLED * spread.clip(1.0)):
             break
-    return w / size, np.where(spread > SETTLED, spread, 0.0) / size, np.sqrt(
-        np.diag(inverse)) / size
+    return w / size, np.where(spread > SETTLED, spread, 0.0) / size, inverse / np.outer(
+        size, size)
 
 
 def minimum_norm(gram: np.ndarray, side: np.ndarray) -> np.ndarray:

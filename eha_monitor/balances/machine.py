@@ -120,6 +120,8 @@ class MachineBalance:
     forms : of each term, by how much it goes with the shapes of its family that fit as well.
     levers : of each parameter, rms of its column over that of the signal, 1/SI.
     alone : what each recording leaves where the terms are fitted to itself, SI.
+    errors : (m, m) of each parameter, how far it goes with each independent error of the fit, SI;
+        empty in older files.
     """
 
     balance: str
@@ -144,6 +146,13 @@ class MachineBalance:
     forms: tuple[float, ...] = ()
     levers: tuple[float, ...] = ()
     alone: tuple[float, ...] = ()
+    errors: tuple[tuple[float, ...], ...] = ()
+
+    @property
+    def errors_of(self) -> dict[str, np.ndarray]:
+        """``errors`` by the parameters' names."""
+        return {p.name: np.array(row) for p, row in zip(
+            self.parameters, self.errors, strict=False)}
 
     @property
     def form_of(self) -> dict[str, float]:
@@ -245,6 +254,10 @@ class Machine:
     def runs(self) -> str:
         """What a recording of it is compared with, in words."""
         return f"{len(self.sources)} {'parts of the ' if self.pieces else ''}healthy recordings"
+
+    def taken_as_sure(self) -> "Machine":
+        """Return it as if its parameters were known exactly."""
+        return replace(self, balances=tuple(replace(one, errors=()) for one in self.balances))
 
     def __getitem__(self, balance: str) -> MachineBalance:
         return next(one for one in self.balances if one.balance == balance)
@@ -436,6 +449,9 @@ def _balance(kind: str, courses: Sequence[Course], scale: Scale, rig: Rig,
     weights = dict(zip(fit.names, fit.value.tolist(), strict=True))
     usual, loose = usual_of(settings, of)
     weights |= usual
+    errors = factor_of(fit.covariance)
+    errors_of = dict(zip(fit.names, errors, strict=True))
+    spreads = {}, oil_of(parameters, of, policy)
     return MachineBalance(
         kind, parameters, settings, _rows(fit.each), _rows(fit.each_stddev),
         tuple(nominal_errors(kind, tables, rig).tolist()), tuple(chosen.errors.tolist()),
@@ -444,10 +460,20 @@ def _balance(kind: str, courses: Sequence[Course], scale: Scale, rig: Rig,
         float(sum(table.effective for table in tables)),
         chosen.named, *(scatter_of(
             tables, weights, [s.name for s in settings if s.name not in usual], allowed, policy,
-            loose | oil, pieces) for oil in ({}, oil_of(parameters, of, policy))), refused,
+            loose | oil, pieces, errors_of) for oil in spreads), refused,
         tuple(recordings.errors(chosen.names).tolist()),
         forms_of(recordings, beside, chosen.names, allowed, policy), levers_of(tables, fit.names),
-        tuple(left_alone(table, [*fit.names, *fit.settings]) for table in tables))
+        tuple(left_alone(table, [*fit.names, *fit.settings]) for table in tables), _rows(errors))
+
+
+def factor_of(covariance: np.ndarray) -> np.ndarray:
+    """Return F of a covariance FF', (m, m); nothing of what no recording says."""
+    known = np.isfinite(np.diag(covariance))
+    scale = np.sqrt(np.where(known, np.diag(covariance), 0.0))
+    size = np.outer(scale, scale)
+    values, vectors = np.linalg.eigh(np.divide(
+        covariance, size, out=np.zeros_like(size), where=size > 0.0))
+    return scale[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
 
 
 def usual_of(settings: Sequence[Setting], of: Mapping[str, Candidate]

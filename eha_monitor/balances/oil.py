@@ -111,25 +111,52 @@ def _within(course: Course, rig: Rig) -> Term | None:
     balance = flow_of(course, rig)
     if balance is None:
         return None
-    course, flow, columns, off, ways = balance
-    bent = (course.direction, np.ones(len(course)), swallowed(course, rig, sharp=False))
     found: list[tuple[float, Term]] = []
-    alike = ALIKE_BOTH if course.mean_of_both else ALIKE
-    whole = float(np.std(balance.rows(flow)))
-    for pressed in ways:
-        own = _own(balance.rows(pressed, *(column[-1] for column in columns)))
+    for pressed in balance.pressed:
+        own = _own(balance.rows(pressed, *(column[-1] for column in balance.columns)))
         if own < CLEAR * rig.volume_1 * course.sensors["p"] * course.passed[1]:
             continue
-        fit = fitted(course, course.counted("flow"), flow, (
-            *columns, ("1/beta_e", "1/Pa", "compressibility", 1, -pressed)), bent, off=off)
+        fit = _beside_losses(balance, rig, pressed)
         if fit is not None and fit["1/beta_e"].determined:
-            term = fit["1/beta_e"]
-            found.append((fit.error_share, replace(term, stddev=float(np.hypot(
-                term.stddev, alike * fit.error_share * whole / own)))))
+            found.append((fit.error_share, _looking_alike(fit["1/beta_e"], fit, balance, own)))
     # A cylinder's volumes change over its stroke; the config's may be those of another place, but
     # where the flow hardly says so they are not.
     return min(reversed(found), key=lambda one: one[0] * (
         np.exp(POLICY.alone) if one is not found[-1] else 1.0), default=(0.0, None))[1]
+
+
+def leakage(course: Course, rig: Rig) -> Term | None:
+    """Return what leaks across the piston beyond the config's, m³/(s·Pa); None where unknown.
+
+    Of equal areas, where piston, pump and make-up path are one number.  Its deviation holds what
+    that of :func:`_within` does.
+    """
+    balance = flow_of(course, rig) if course.ratio == 1.0 else None
+    fit = None if balance is None else _beside_losses(balance, rig, balance.pressed[0])
+    if fit is None or not fit["C_L"].determined:
+        return None
+    pump, leak, *others = (column[-1] for column in balance.columns)
+    own = _own(balance.rows(leak, pump, *others, balance.pressed[0]))
+    return _looking_alike(fit["C_L"], fit, balance, own)
+
+
+def _beside_losses(balance: Flow, rig: Rig, pressed: np.ndarray) -> BalanceFit | None:
+    """Return the fit with the oil's part, beside what a pump may lose."""
+    course = balance.course
+    bent = (course.direction, np.ones(len(course)), swallowed(course, rig, sharp=False))
+    return fitted(course, course.counted("flow"), balance.flow, (
+        *balance.columns, ("1/beta_e", "1/Pa", "compressibility", 1, -pressed)), bent,
+        off=balance.off)
+
+
+def _looking_alike(term: Term, fit: BalanceFit, balance: Flow, own: float) -> Term:
+    """Return a term as unsure as a share of what is left is that looks like it.
+
+    ``own`` : rms of what no other column makes of its own.
+    """
+    alike = ALIKE_BOTH if balance.course.mean_of_both else ALIKE
+    left = fit.error_share * float(np.std(balance.rows(balance.flow)))
+    return replace(term, stddev=float(np.hypot(term.stddev, alike * left / own)))
 
 
 def _own(rows: np.ndarray) -> float:

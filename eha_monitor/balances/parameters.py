@@ -1,4 +1,4 @@
-"""B and beta_e of some seconds by least squares, beside the model that the config has.
+"""B, beta_e and leakage of some seconds by least squares, beside the model that the config has.
 
     F - known = M x'' + B x' + F_0 + F_c sgn x'    force balance, see :func:`damping`
     A x' - known = D_p omega - V(x) p' / beta_e - C_L (p1 - p2)  flow balance, see :mod:`oil`
@@ -36,10 +36,19 @@ from eha_monitor.balances.least_squares import (
     weights_of,
 )
 from eha_monitor.balances.measured import course_within
-from eha_monitor.balances.oil import compressibility
+from eha_monitor.balances.oil import compressibility, leakage
 from eha_monitor.balances.together import of_one_machine
 from eha_monitor.errors import InputError
-from eha_monitor.estimation.results import EVERY_S, LOOK_S, ONE, TWO, Beside, ParameterEstimate
+from eha_monitor.estimation.results import (
+    EVERY_S,
+    LOOK_S,
+    ONE,
+    TWO,
+    Beside,
+    ParameterEstimate,
+    judge_parameter,
+    units_of,
+)
 from eha_monitor.estimation.rig_model import force_of
 from eha_monitor.physics.effects import DRY_LAWS
 from eha_monitor.recordings.recording import Recording, rows_of, sample_of
@@ -92,6 +101,24 @@ def parameters_of(recording: Recording, settings: Settings) -> dict[str, Paramet
     if soft is not None:
         found["beta_e"] = TWO.by_balance(settings, 1.0 / soft.value, soft.stddev / soft.value**2)
     return found
+
+
+def leakage_of(recording: Recording, settings: Settings) -> ParameterEstimate | None:
+    """Return C_T by least squares; None without the channels and volumes of a flow balance.
+
+    Areas that are off are off in it by the same share.
+    """
+    rig = settings.rig
+    try:
+        courses = of_one_machine([course_within(recording, settings, BAND)], rig)
+    except InputError:
+        return None
+    found = leakage(*courses, rig)
+    if found is None:
+        return None
+    value = rig.leakage + 2.0 * found.value
+    stddev = float(np.hypot(2.0 * found.stddev, value * rig.tolerance.log_spread("area_1")))
+    return judge_parameter("L", value, stddev, units_of(rig.motion)["L"], 0.0, np.inf)
 
 
 def along(recording: Recording, settings: Settings) -> Iterator[Beside]:

@@ -6,10 +6,15 @@ settings explain.  Over the machine's own recordings d has a mean and a spread, 
 vary (wear from day to day, temperature, the form of other terms).  That spread, not the sensors'
 noise, is what a change is measured against: Student's t with n - 1 degrees of freedom, so that one
 healthy recording in a hundred is called changed in any of the terms.
+
+The machine's parameters w are off by some e, whose covariance C = FF' their fit gives, and with
+them every d by -R e, R = q'X / q'q of the parameters' columns X, in all recordings of one duty
+alike: no scatter shows it.  Another duty has another R, and what it moves by more than the mean of
+the machine's own recordings does is in doubt by (R - mean R) F.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import stdtrit
@@ -20,6 +25,7 @@ from eha_monitor.balances.table import Table
 from eha_monitor.balances.together import without
 
 NOTHING: Mapping[str, float] = {}
+SURE: Mapping[str, np.ndarray] = {}
 ANSWERS = 0.01  # of the usual power: a recording that answers less says nothing of a term
 
 
@@ -33,6 +39,7 @@ class Amplitudes:
     power : (k,) squares of the columns, less what the settings explain.
     response : (k, k) by how much the value of each falls where another moves by one.
     left : squares of the residual.
+    common : (k, e) by how much each falls with each independent error of the machine's parameters.
     """
 
     names: tuple[str, ...]
@@ -41,6 +48,7 @@ class Amplitudes:
     power: np.ndarray
     response: np.ndarray
     left: float
+    common: np.ndarray
 
     def gone_with(self, oil: Mapping[str, float], most: float, i: int | None = None,
                   mean: float = 0.0) -> tuple[float, float]:
@@ -71,39 +79,49 @@ class Amplitudes:
     def moved(self, place: int, amount: float) -> "Amplitudes":
         """Return what is left once a term has moved."""
         left = self.left - (2.0 * self.value[place] - amount) * amount * self.power[place]
-        return Amplitudes(self.names, self.value - self.response[:, place] * amount, self.stddev,
-                          self.power, self.response, max(left, 0.0))
+        return replace(self, value=self.value - self.response[:, place] * amount,
+                       left=max(left, 0.0))
 
 
 def amplitudes_of(table: Table, weights: dict[str, float], settings: Sequence[str],
-                  terms: Sequence[str], oil: Mapping[str, float] = NOTHING) -> Amplitudes:
+                  terms: Sequence[str], oil: Mapping[str, float] = NOTHING,
+                  errors: Mapping[str, np.ndarray] = SURE) -> Amplitudes:
     """Return the amplitudes of ``terms`` beside a machine's parameters (name -> value).
 
     Parameters
     ----------
     oil : parameter -> its spread from one recording to the next, SI, within which it is free:
         else a term that resembles damping moves whenever the oil is warmer.
+    errors : parameter -> (e,) how far it goes with each independent error of the machine's fit.
     """
     out = [table.places[name] for name in (*settings, *oil)]
     kept = [table.places[name] for name in terms]
-    rows = np.zeros((1 + len(kept), len(table.gram)))
+    count = 1 + len(kept)
+    ways = len(next(iter(errors.values()), ()))
+    rows = np.zeros((count + ways, len(table.gram)))
     rows[0, 0] = 1.0
     for name, value in weights.items():
         rows[0, table.places[name]] = -value
-    rows[np.arange(1, len(rows)), kept] = 1.0
+    rows[np.arange(1, count), kept] = 1.0
+    for name, off in errors.items():
+        if name in table.places:
+            rows[count:, table.places[name]] = off
+    known = len(rows)
     for_settings = np.zeros((len(out), len(table.gram)))
     for_settings[np.arange(len(out)), out] = 1.0
     rows = np.vstack([rows, for_settings])
     ridge = np.zeros(len(rows))
     ridge[len(rows) - len(oil) :] = ridge_of(table, oil)
-    products = without(rows @ table.gram @ rows.T, list(range(1 + len(kept))),
-                       list(range(1 + len(kept), len(rows))), ridge)
-    own = np.maximum(np.diag(products)[1:], 1e-300)
+    products = without(rows @ table.gram @ rows.T, list(range(known)),
+                       list(range(known, len(rows))), ridge)
+    own = np.maximum(np.diag(products)[1:count], 1e-300)
     dead = own < 1e-12 * np.maximum(np.diag(table.gram)[kept], 1e-300)
     power = np.where(dead, np.nan, own)
     rms, correlated = table.full  # what no term explains
-    return Amplitudes(tuple(terms), products[1:, 0] / power, rms * np.sqrt(correlated / power),
-                      power, products[1:, 1:] / power[:, None], max(float(products[0, 0]), 0.0))
+    return Amplitudes(tuple(terms), products[1:count, 0] / power,
+                      rms * np.sqrt(correlated / power), power,
+                      products[1:count, 1:count] / power[:, None],
+                      max(float(products[0, 0]), 0.0), products[1:count, count:] / power[:, None])
 
 
 def ridge_of(table: Table, oil: Mapping[str, float]) -> np.ndarray:
@@ -121,6 +139,7 @@ class Scatter:
     names : (k,) terms that every recording answers to, or of the machine's own some.
     mean, spread, power, noise : (k,) over the recordings; of their power and deviation the
         median.
+    common : (k, e) mean of :attr:`Amplitudes.common`; empty in older files.
     limit : (k,) of Student's t: beyond it a recording is changed.
     runs : recordings.
     """
@@ -132,18 +151,30 @@ class Scatter:
     noise: tuple[float, ...]
     limit: tuple[float, ...]
     runs: int
+    common: tuple[tuple[float, ...], ...] = ()
 
     def only(self, names: Sequence[str]) -> "Scatter":
         """Return it for some of its terms, in their order."""
         places = [self.names.index(name) for name in names]
         return Scatter(tuple(names), *(tuple(row[i] for i in places) for row in (
-            self.mean, self.spread, self.power, self.noise, self.limit)), self.runs)
+            self.mean, self.spread, self.power, self.noise, self.limit)), self.runs,
+            tuple(self.common[i] for i in places) if self.common else ())
 
     @property
     def shows(self) -> dict[str, float]:
         """By how much each term has to move to be beyond its limit, SI."""
         spread = np.array(self.spread) * np.sqrt(1.0 + 1.0 / self.runs)
         return dict(zip(self.names, np.array(self.limit) * spread, strict=True))
+
+    def owed(self, found: Amplitudes) -> np.ndarray:
+        """Return how far a recording's amplitudes go with the machine's errors, (k,) SI.
+
+        Beyond what those of its own recordings do.
+        """
+        if not (self.common and found.common.size):
+            return np.zeros(len(self.names))
+        places = [found.names.index(name) for name in self.names]
+        return np.linalg.norm(found.common[places] - np.array(self.common), axis=1)
 
     def t_of(self, found: Amplitudes) -> np.ndarray:
         """Return Student's t of a recording's amplitudes, (k,); NaN where it says nothing."""
@@ -152,23 +183,23 @@ class Scatter:
         more = np.maximum(own**2 - np.square(self.noise), 0.0)
         weight = np.sqrt(np.minimum(power, self.power) / np.array(self.power))
         return weight * (value - self.mean) / np.sqrt(
-            np.square(self.spread) * (1.0 + 1.0 / self.runs) + more)
+            np.square(self.spread) * (1.0 + 1.0 / self.runs) + more + self.owed(found) ** 2)
 
 
 def scatter_of(tables: Sequence[Table], weights: dict[str, float], settings: Sequence[str],
                allowed: Sequence[str], policy: Policy, oil: Mapping[str, float] = NOTHING,
-               typical: bool = False) -> Scatter:
+               typical: bool = False, errors: Mapping[str, np.ndarray] = SURE) -> Scatter:
     """Return how the amplitudes of terms vary over recordings.
 
     Parameters
     ----------
-    oil : as :func:`amplitudes_of` takes it.
+    oil, errors : as :func:`amplitudes_of` takes them.
     typical : the recordings are parts of too few: a typical spread between recordings is added.
     """
     of = {one.name: one for one in tables[0].candidates}
     terms = [name for name in allowed if name not in settings
              and not (of[name].always and of[name].setting)]
-    each = [amplitudes_of(table, weights, settings, terms, oil) for table in tables]
+    each = [amplitudes_of(table, weights, settings, terms, oil, errors) for table in tables]
     values, powers, noise = (np.array([getattr(one, name) for one in each])
                              for name in ("value", "power", "stddev"))
     usual = np.median(np.nan_to_num(powers), axis=0)
@@ -179,6 +210,9 @@ def scatter_of(tables: Sequence[Table], weights: dict[str, float], settings: Seq
     kept = np.flatnonzero(enough & (np.ptp(values, axis=0) > 0.0))
     answers, usual, noise = answers[:, kept], usual[kept], noise[:, kept]
     values, powers = (np.where(answers, rows[:, kept], 0.0) for rows in (values, powers))
+    weight = np.minimum(powers, usual) / usual
+    common = np.einsum("rk,rke->ke", weight / weight.sum(axis=0), np.nan_to_num(
+        [one.common[kept] for one in each]))
     names = tuple(terms[i] for i in kept)
     between = np.array([policy.between if of[name].between is None else of[name].between
                         for name in names])
@@ -193,7 +227,7 @@ def scatter_of(tables: Sequence[Table], weights: dict[str, float], settings: Seq
             (power > 0.0).sum(axis=0) - 1) + extra**2)
         return Scatter(names, *(tuple(part.tolist()) for part in (
             mean, np.maximum(spread, 1e-150), usual, np.nanmedian(noise, axis=0), limit)),
-            len(rows))
+            len(rows), tuple(map(tuple, common.tolist())))
 
     products = sum(one.response * one.power[:, None] for one in each)[np.ix_(kept, kept)]
     limit = np.array([limit_of(runs, _different(products), policy.false)
@@ -201,7 +235,7 @@ def scatter_of(tables: Sequence[Table], weights: dict[str, float], settings: Seq
     if len(tables) > 3:  # what a healthy recording did once, one may do again
         own = [np.abs(made(np.delete(values, i, axis=0), np.delete(powers, i, axis=0), limit)
                       .t_of(Amplitudes(names, values[i], noise[i], powers[i], np.zeros((0, 0)),
-                                       0.0))) for i in range(len(tables))]
+                                       0.0, common))) for i in range(len(tables))]
         limit = np.maximum(limit, np.nanmax(own, axis=0))
     return made(values, powers, limit)
 

@@ -11,6 +11,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.optimize import minimize_scalar
 
 from eha_monitor.balances.candidates import stop
 from eha_monitor.balances.course import Course
@@ -27,7 +28,7 @@ from eha_monitor.settings.rig import Rig
 from eha_monitor.words import effect_words, listed
 
 TWICE = 2.0  # times what its symptom says, or half of it: so far an error is looked for
-NEAR, STEPS = 1e-2, 4  # share of that to which it is found, in at most so many steps
+NEAR, STEPS = 3e-3, 20  # share of that to which it is found, in at most so many steps
 TURNED = 0.05  # of a play: when its sensor has moved so far the piston is through it
 FEWER = 2  # things that differ must a sensor's error, itself one, take away
 Corrected = Callable[[np.ndarray, float, float], np.ndarray]
@@ -42,7 +43,7 @@ class Fault:
     effect, symbol, unit : of the catalogue.
     channel : that is read wrongly.
     symptoms : effects that a balance takes it for, the one that shows it best first: each with
-        what the error is for 1 of it, of the rig and the channel's mean, SI.
+        the error that makes an amount of it, of the rig, the channel's mean and the amount, SI.
     corrected : of the channel (n,), the error and the sample time, s: the channel without it.
     words : that end "the sensor of p1 reads", with ``{}`` for the amount: too much and too little.
     least : no error is less; nothing reads what is still to come.
@@ -52,7 +53,7 @@ class Fault:
     symbol: str
     unit: str
     channel: str
-    symptoms: dict[str, Callable[[Rig, float], float]]
+    symptoms: dict[str, Callable[[Rig, float, float], float]]
     corrected: Corrected
     words: tuple[str, str]
     least: float = -np.inf
@@ -69,27 +70,30 @@ def _earlier(values: np.ndarray, late: float, dt: float) -> np.ndarray:
 
 def _of_pressure(i: int, sign: float) -> tuple[Fault, Fault]:
     """Return what may be wrong with the pressure of a chamber, whose force has this sign."""
-    def area(rig: Rig) -> float:
-        return sign * getattr(rig, f"area_{i}")
+    def less(rig: Rig, force: float) -> float:
+        return force / (sign * getattr(rig, f"area_{i}"))
+
+    def of_scale(rig: Rig, mean: float, force: float) -> float:
+        share = less(rig, force) / mean if mean else np.nan  # k p / (1 + k) p
+        return share / (1.0 - share) if share < 1.0 else np.nan
 
     return (
         Fault("pressure_offset", f"b_{i}", "Pa", f"p{i}",
-              {LOAD: lambda rig, mean: 1.0 / area(rig)},
+              {LOAD: lambda rig, mean, force: less(rig, force)},
               lambda p, b, dt: p - b, ("{} too high", "{} too low")),
         Fault("pressure_scale", f"k_{i}", "1", f"p{i}",
-              {LOAD: lambda rig, mean: 1.0 / (area(rig) * mean) if mean else np.nan},
-              lambda p, k, dt: p / (1.0 + k), ("{} too much", "{} too little")))
+              {LOAD: of_scale}, lambda p, k, dt: p / (1.0 + k), ("{} too much", "{} too little")))
 
 
 # A position that is T late takes K T x' from the speed that the drive is commanded.
 LATE = Fault("position_delay", "T", "s", "x", {
-    "flow_lag": lambda rig, mean: 1.0 if rig.pump_displacement else np.nan,
-    "drive_gain": lambda rig, mean: -rig.area_1 / (
+    "flow_lag": lambda rig, mean, lag: lag if rig.pump_displacement else np.nan,
+    "drive_gain": lambda rig, mean, gain: -gain * rig.area_1 / (
         rig.position_gain * (rig.pump_displacement or np.nan)),
-    "feed_forward": lambda rig, mean: -1.0 / rig.position_gain},
+    "feed_forward": lambda rig, mean, share: -share / rig.position_gain},
     _earlier, ("{} late", "{} early"), least=0.0)
 # Behind a play the position lags by half of it, against friction, spring and mass alike.
-PLAY = Fault("backlash", "b", "m", "x", {"backlash": lambda rig, mean: 1.0},
+PLAY = Fault("backlash", "b", "m", "x", {"backlash": lambda rig, mean, play: play},
              lambda x, b, dt: x + 0.5 * b * stop(x, TURNED * b) if b > 0.0 else x,
              ("with a play of {}", "with a play of {}"), least=0.0)
 FAULTS = (*_of_pressure(1, 1.0), *_of_pressure(2, -1.0), LATE, PLAY)
@@ -160,7 +164,10 @@ def without_sensor_error(machine: Machine, recordings: Sequence[Recording], sett
 
     Of all that differs one error must take away ``FEWER`` things, and bring none.  A change is
     told with the sensor that would make it only where that sensor, corrected, leaves less.
+    What an error of the machine's fit might make as well bears witness all the same: that it is
+    just as large as the sensor makes it is no accident.
     """
+    judged, machine = judge_with_oil(machine, courses, settings), machine.taken_as_sure()
     given = _reading(machine, courses, settings)
     tried = [one for fault in FAULTS if (one := _corrected(
         fault, machine, recordings, settings, given)) is not None]
@@ -171,12 +178,12 @@ def without_sensor_error(machine: Machine, recordings: Sequence[Recording], sett
         least = min(one.left for one in explain if len(one.differs) == few)
         best, *as_much = [one for one in explain if len(one.differs) == few
                           and one.left - least < machine.policy.alone]
-        return given.judged, best, (_change(best, as_much, given, machine),)
+        return judged, best, (_change(best, as_much, given, machine),)
     refuted = {one.fault.effect for one in tried} - {one.fault.effect for one in fits}
-    return given.judged, replace(given, judged=replace(given.judged, balances=tuple(
+    return judged, replace(given, judged=replace(judged, balances=tuple(
         replace(one, changed=tuple(replace(moved, rivals=tuple(
             rival for rival in moved.rivals if rival not in refuted)) for moved in one.changed))
-        for one in given.judged.balances))), ()
+        for one in judged.balances))), ()
 
 
 def _reading(machine: Machine, courses: Sequence[Course], settings: Settings) -> Reading:
@@ -200,36 +207,41 @@ def _corrected(fault: Fault, machine: Machine, recordings: Sequence[Recording],
         return None
     symptom, mean = changed[name], float(np.mean(
         [np.nanmean(one.channels[channel]) for one in recordings]))
-    slope = fault.symptoms[name](settings.rig, mean)
+
+    def error_of(amount: float) -> float:
+        return fault.symptoms[name](settings.rig, mean, amount)
 
     def without(value: float) -> Reading:
         right = [replace(one, channels=one.channels | {channel: fault.corrected(
             one.channels[channel], value, one.sample_time)}) for one in recordings]
         courses, _ = within_stroke(machine, courses_of(right, settings, machine.band)[1])
         return replace(_reading(machine, courses, settings), fault=fault, symptom=symptom,
-                       error=(value, float(np.hypot(symptom.apart * slope, value - first))))
+                       error=(value, abs(error_of(off + symptom.apart) - first)))
 
-    first = (symptom.here - symptom.machine) * slope
+    off = symptom.here - symptom.machine
+    first = error_of(off)
     if not first >= fault.least:  # nor is it one of nil, or of a pump that nobody knows
         return None
     found, own = without(first), symptom.candidate.balance
     if not found.differs or found.far(own) >= given.far(own):
         return found
-    # What all balances say together, as one of them alone takes other things for it as well:
-    # what is left in squares is nearly a parabola in the error, 0 of which is the recordings'.
-    tried = {0.0: given.far(), 1.0: found.far()}
-    best, following = found, 1.0 / TWICE
-    for _ in range(STEPS):
-        one = without(following * first)
-        tried[following] = one.far()
-        if tried[following] < best.far():
-            best = one
-        near = sorted(tried, key=tried.get)[:3]
-        bend, slant, _ = np.polyfit(near, [tried[each] for each in near], 2)
-        following = float(np.clip(-0.5 * slant / bend, 1.0 / TWICE, TWICE)) if bend > 0.0 else 1.0
-        if min(abs(following - each) for each in tried) < NEAR:
-            break
-    return best
+    # What all balances say together, as one of them alone takes other things for it as well.
+    tried = {1.0: found}
+
+    def far(times: float) -> float:
+        tried[times] = without(times * first)
+        return tried[times].far()
+
+    minimize_scalar(far, bounds=(1.0 / TWICE, TWICE), method="bounded",
+                    options={"xatol": NEAR, "maxiter": STEPS})
+    near = sorted(tried, key=lambda times: tried[times].far())[:3]
+    best = tried[near[0]]
+    # As sure as far as one balance leaves sqrt(2) times what healthy recordings do.
+    bend = float(np.polyfit(near, [tried[times].far() for times in near], 2)[0])
+    known = abs(first) / np.sqrt(bend) if bend > 0.0 else np.inf
+    value, chance = best.error
+    return replace(best, error=(float(value), float(np.hypot(
+        chance, min(known, abs(value - first))))))
 
 
 def _change(one: Reading, others: Sequence[Reading], given: Reading, machine: Machine) -> Change:

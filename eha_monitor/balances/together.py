@@ -152,8 +152,8 @@ class Fitted:
     Attributes
     ----------
     names : machine parameters; ``settings`` those of each recording.
-    value, between, stddev : (m,) weighted mean over the recordings, spread between them, and
-        deviation of the mean, which contains the spread.
+    value, between : (m,) weighted mean over the recordings, spread between them.
+    covariance : (m, m) of the mean, which contains the spread.
     each, each_stddev : (r, m) fitted to each recording alone.
     setting, setting_stddev : (r, s) with the machine parameters held.
     """
@@ -162,11 +162,16 @@ class Fitted:
     settings: tuple[str, ...]
     value: np.ndarray
     between: np.ndarray
-    stddev: np.ndarray
+    covariance: np.ndarray
     each: np.ndarray
     each_stddev: np.ndarray
     setting: np.ndarray
     setting_stddev: np.ndarray
+
+    @property
+    def stddev(self) -> np.ndarray:
+        """Deviation of the mean, (m,) SI."""
+        return np.sqrt(np.diag(self.covariance))
 
 
 class Recordings:
@@ -419,11 +424,11 @@ class Recordings:
             whole.append(own[1:] / (scale + form))
         start = POLICY.between * np.abs(w)
         _, between, _ = random_effects(np.array(chance), *bounds, start)
-        value, _, mean_stddev = random_effects(np.array(whole), *bounds, start)
+        value, _, covariance = random_effects(np.array(whole), *bounds, start)
         setting, setting_stddev = self.settings_of(shared, settings, value)
         of = self.tables[0].candidates
         return Fitted(tuple(of[i - 1].name for i in shared),
-                      tuple(of[i - 1].name for i in settings), value, between, mean_stddev, each,
+                      tuple(of[i - 1].name for i in settings), value, between, covariance, each,
                       stddev, setting, setting_stddev)
 
     def settings_of(self, shared: list[int], settings: list[int], w: np.ndarray

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from eha_monitor.balances.parameters import along
+from eha_monitor.balances.parameters import along, leakage_of
 from eha_monitor.breakdown import computing
 from eha_monitor.estimation.consistency import Window, stage_verdict
 from eha_monitor.estimation.hold_choice import (
@@ -80,6 +80,8 @@ def _estimated(recording: Recording, settings: Settings) -> Estimate:
         left = np.isfinite(given.get("x")).sum() - np.isfinite(recording.get("x")).sum()
         found = replace(found, warnings=(*found.warnings, (
             f"x: {left} outlier{'s' if left > 1 else ''} left out, that no piston makes")))
+    if found.joint is None or found.joint_doubt:
+        found = replace(found, leakage=leakage_of(recording, settings))
     return replace(found, wall_s=time.perf_counter() - started,
                    channels=decision.findings if decision is not None else ())
 

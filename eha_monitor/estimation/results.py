@@ -293,7 +293,8 @@ class Estimate:
     """Everything that ``estimate`` finds in one recording.
 
     ``settings`` have the hold decided; ``channels`` is what was found out about the channels;
-    ``beside`` are least squares along the recording where the model does not fit.
+    ``beside`` are least squares along the recording where the model does not fit; ``leakage`` is
+    C_T by them where no joint filter knows it.
     """
 
     recording: Recording
@@ -308,6 +309,7 @@ class Estimate:
     warnings: tuple[str, ...] = field(default=())
     channels: tuple[ChannelFinding, ...] = ()
     beside: tuple[Beside, ...] = ()
+    leakage: ParameterEstimate | None = None
 
     @property
     def by_stages(self) -> dict[str, ParameterEstimate]:

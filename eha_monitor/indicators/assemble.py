@@ -20,8 +20,7 @@ from eha_monitor.words import effect_words, listed
 
 SAME_OIL = 5.0  # K: recordings within it show B of one oil
 MOMENTS = 400  # of the pressures: their distribution is wanted, not their course
-NO_JOINT = ("the leakage is not estimated: it needs x, p1, p2 and omega, and a config without "
-            "effects")
+NO_LEAKAGE = "the leakage is not determined: it needs x, p1, p2 and omega, and volumes"
 RIG = ("leakage", "pump_displacement")
 UNKNOWN = {"unexplained": "what the model lacks is not known",  # verdict -> why no B, no beta_e
            "insufficient_data": "there are too few data"}
@@ -78,9 +77,7 @@ def evidence_of_estimate(found: Estimate) -> Evidence:
     """Return the evidence of an estimate: what converged, after the last change of a stage."""
     values, variances, why = {}, [], {}
     parameters, doubts = dict(found.parameters), found.doubted
-    if found.joint_doubt:
-        why["leakage"] = f"in doubt: {found.joint_doubt}"
-    elif found.joint is not None:
+    if found.joint is not None and not found.joint_doubt:
         parameters["leakage"] = found.joint.parameters["L"]
         # Stage two takes the config's leakage for true: where another one leads it astray, the
         # joint estimator, which has the leakage among its unknowns, knows beta_e.
@@ -89,8 +86,10 @@ def evidence_of_estimate(found: Estimate) -> Evidence:
                 and found.joint.fits and stiffness.status == "converged"):
             parameters["beta_e"] = stiffness
             doubts = {name: taint for name, taint in doubts.items() if name != "beta_e"}
+    elif found.leakage is not None:
+        parameters["leakage"] = found.leakage
     else:
-        why["leakage"] = NO_JOINT
+        why["leakage"] = f"in doubt: {found.joint_doubt}" if found.joint_doubt else NO_LEAKAGE
     for name, one in parameters.items():
         if one.status == "converged":
             values[name] = one.value
