@@ -21,9 +21,17 @@ from eha_monitor.archive.find import find_bags, is_archive, stamp_of
 from eha_monitor.archive.run import DIED, on_this_machine
 from eha_monitor.archive.store import COLUMNS
 from eha_monitor.cli import main
-from eha_monitor.commands.archive_rows import Task, diagnosis_columns, estimate_columns, row_of
+from eha_monitor.commands.archive_rows import (
+    Task,
+    diagnosis_columns,
+    estimate_columns,
+    limit_columns,
+    row_of,
+    show,
+)
+from eha_monitor.indicators.indicator import AVAILABLE, Indicator
 from eha_monitor.physics.simulator import Simulator
-from eha_monitor.reports.archive_report import archive_page, phrases
+from eha_monitor.reports.archive_report import archive_page, phrases, summary_words
 from eha_monitor.settings import settings_from_tree
 
 pyarrow = pytest.importorskip(
@@ -401,6 +409,29 @@ def test_what_is_not_judged_is_no_ok_in_a_row():
     assert (row["alarm"], row["alarm_message"]) == ("not judged", "not judged: B 1080")
 
 
+@pytest.mark.parametrize(("limit", "level"), [("8 mL/min", "ERROR"), ("8 L/min", "OK"),
+                                              (None, None)])
+def test_a_limit_of_an_indicator_is_an_alarm_of_the_row(limit, level):
+    settings = settings_from_tree({"health": {"leakage_limit": limit}}, "test")
+    leak = Indicator("leakage", 16.0, 1.0, 1.0, "mL/min", AVAILABLE, "", "")
+    row = limit_columns((leak,), settings)
+    assert row.get("alarm") == level
+    assert (row.get("alarm_message") == "internal leakage of 16.0 ± 1.0 mL/min is beyond its "
+            "limit") == (level == "ERROR")
+    words = summary_words([row], "estimate")
+    assert ("no limit is set" in words) == (limit is None)
+
+
+def test_models_that_do_not_fit_for_one_reason_are_one_line(tmp_path, capsys):
+    row = {"model": "mismatch", "model_balance": "force balance", "made_with": "1"}
+    rows = [row | {"bag": f"b{k}"} for k in range(5)]
+    rows[0] |= {"alarm": "ERROR", "alarm_message": "B is too high"}
+    show(rows, "estimate", settings_from_tree({}, "test"), "1", tmp_path, 5, [])
+    said = capsys.readouterr().out
+    assert "4 recordings: the model does not fit: force balance" in said
+    assert "b0" in said and "B is too high" in said and "b3" not in said
+
+
 def test_each_bag_of_a_folder_is_judged_against_the_healthy_machine(tmp_path, capsys):
     """What a machine's weeks are: three healthy days, then dry friction."""
     folder, file, out = tmp_path / "weeks", tmp_path / "machine.json", tmp_path / "out"
@@ -417,8 +448,11 @@ def test_each_bag_of_a_folder_is_judged_against_the_healthy_machine(tmp_path, ca
     assert main([*judged, "--exit-code"]) == 1
     rows = rows_of(out, "diagnose")
     assert [rows[f"d{day}"]["verdict"] for day in range(4)] == ["consistent"] * 3 + ["mismatch"]
-    assert rows["d3"]["effects"][0]["name"] == "coulomb_friction"
-    capsys.readouterr()
+    assert [one["name"] for one in rows["d3"]["effects"]] == ["coulomb_friction"]
+    page = Page((out / "diagnose.html").read_text()).text
+    assert "Effects that have changed" in page and f"--machine {file}" in page
+    said = capsys.readouterr().out
+    assert "nothing has changed" not in said and "the model does not fit" not in said
     file.write_text(file.read_text() + "\n")  # another machine: all anew
     assert main(judged) == 0
     assert "4 bags, 4 processed now" in capsys.readouterr().out

@@ -23,6 +23,7 @@ from eha_monitor.api.read import (
 )
 from eha_monitor.archive.find import find_bags, is_archive
 from eha_monitor.balances.machine import load
+from eha_monitor.balances.parameters import leakage_of
 from eha_monitor.compiled import load_runtime
 from eha_monitor.errors import InputError
 from eha_monitor.indicators.assemble import evidence_of_diagnosis, indicators
@@ -162,8 +163,9 @@ def diagnose(recordings: Several, config: Config | str | os.PathLike | dict | No
         say("diagnosed", 1.0)
     return Diagnosis(**vars(found) | {"channels": (*channels, *found.channels)}, config=config,
                      losses=tuple(f"{one.source}: {loss}" for one in read for loss in one.losses),
-                     indicators=indicators(evidence_of_diagnosis(found, read, config.settings),
-                                           config.settings))
+                     indicators=indicators(evidence_of_diagnosis(
+                         found, read, config.settings, leakage_of(read[0], config.settings)
+                         if len(read) == 1 else None), config.settings))
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)

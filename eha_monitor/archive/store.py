@@ -125,6 +125,13 @@ COLUMNS = (
 )
 
 
+def misfits(row: dict) -> bool:
+    """Tell whether a model does not fit: of a diagnosis its verdict says it."""
+    if row.get("verdict"):
+        return row["verdict"] in ("mismatch", "unexplained")
+    return row.get("model") == "mismatch"
+
+
 def columns_of(command: str) -> tuple[Column, ...]:
     """Return the columns of the table of a command."""
     return tuple(column for column in COLUMNS if column.only in ("", command))

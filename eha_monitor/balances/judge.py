@@ -136,15 +136,16 @@ def _at_temperature(machine: Machine, judged: Judged, viscosity: float, name: st
             moved.candidate.family == "gap" or set(FORCE_OF_SENSORS) & set(moved.rivals)))
             for moved in judged.changed):
         return None
-    at, (value, total, chance) = healthy_at(machine, viscosity, name), judged.values[name]
+    at, (value, _, chance) = healthy_at(machine, viscosity, name), judged.values[name]
     if at is None or not value + at.more > 0.0:
         return None
     t, limit = at.t_of(value + at.more, chance, machine.policy.false)
     if not abs(t) > limit:
         return None
-    return Moved(judged.of[name], value, total, at.beyond, at.stddev, t, limit,
-                 rivals=FORCE_OF_SENSORS[:1] if name == "L" else (),
-                 apart=abs((value - at.beyond) / t), given=" at the temperature of its oil")
+    apart = abs((value - at.beyond) / t)  # what both values share is in neither
+    return Moved(judged.of[name], value, float(np.hypot(at.stddev, apart)), at.beyond, at.stddev,
+                 t, limit, rivals=FORCE_OF_SENSORS[:1] if name == "L" else (), apart=apart,
+                 given=" at the temperature of its oil")
 
 
 def _beside_the_other(machine: Machine, judged: Judged) -> Moved | None:
@@ -159,7 +160,7 @@ def _beside_the_other(machine: Machine, judged: Judged) -> Moved | None:
         return None
     more = np.array([of["L"].configured if name == "L" else 0.0 for name in VISCOUS])
     found = _steady_sum(machine, more)
-    value, total, chance = (np.array(row) for row in zip(
+    value, _, chance = (np.array(row) for row in zip(
         *(judged.values[name] for name in VISCOUS), strict=True))
     if found is None or not (value + more > 0.0).all():
         return None
@@ -177,9 +178,10 @@ def _beside_the_other(machine: Machine, judged: Judged) -> Moved | None:
     healthy = float(np.exp(means.sum() - here[1 - i]))
     rivals = (of[VISCOUS[1 - i]].effect,) if warm[1 - i] < policy.varied else ()
     rivals += FORCE_OF_SENSORS[:1] if VISCOUS[i] == "L" else ()  # its zero makes a leak
-    return Moved(of[VISCOUS[i]], float(value[i]), float(total[i]), healthy - float(more[i]),
-                 healthy * float(np.hypot(spread, noise)), t, limit, rivals=rivals,
-                 apart=healthy * abs(float(np.expm1(off) / t)),
+    usual, apart = healthy * float(np.hypot(spread, noise)), healthy * abs(float(
+        np.expm1(off) / t))
+    return Moved(of[VISCOUS[i]], float(value[i]), float(np.hypot(usual, apart)),
+                 healthy - float(more[i]), usual, t, limit, rivals=rivals, apart=apart,
                  given=f" with the oil that the {('leakage', 'damping')[i]} shows")
 
 

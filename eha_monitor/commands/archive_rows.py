@@ -8,6 +8,7 @@ import hashlib
 import os
 import time
 import traceback
+from collections import Counter
 from collections.abc import Sequence
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, replace
@@ -19,11 +20,23 @@ from eha_monitor.api.config import Config
 from eha_monitor.api.estimate import answer, estimate
 from eha_monitor.archive import run
 from eha_monitor.archive.find import Place, find_bags, stamp_of
-from eha_monitor.archive.store import INDICATORS, PARAMETERS, Store, check_parquet, iso_time
+from eha_monitor.archive.store import (
+    INDICATORS,
+    PARAMETERS,
+    Store,
+    check_parquet,
+    iso_time,
+    misfits,
+)
 from eha_monitor.commands.common import Archive, end_as_on_interrupt, progress_bar
 from eha_monitor.errors import InputError
 from eha_monitor.health.judge import NO_LIMIT, NOT_JUDGED, SEVERITY, Alarm
-from eha_monitor.indicators.indicator import Indicator
+from eha_monitor.indicators.indicator import (
+    AVAILABLE,
+    Indicator,
+    limits_of_indicator,
+    passed,
+)
 from eha_monitor.output import PACKAGE, finite, source_digest, write_text
 from eha_monitor.settings import Settings, load_settings
 
@@ -32,10 +45,11 @@ if TYPE_CHECKING:
 
 OUT = Path("archive")
 MOST = 20  # recordings shown; all are in the table
+ALIKE = 4  # models that do not fit for one reason are one line
 # What has no part in an answer, nor in the row that is made of it; all else in the package has.
 _APART = ("commands", "concealed", "dashboard", "draft", "exports", "prove", "reports", "ros",
           "cli.py", "demo.py", "__main__.py")
-_DIAGNOSIS = ("diagnosis", "balances", "mismatch")  # nor these in one of ``estimate``
+_DIAGNOSIS = ("mismatch",)  # nor this in one of ``estimate``
 _EFFECT = ("name", "balance", "size", "statement", "probability", "log_evidence",
            "intervals_s", "indistinguishable_from")
 _RIG = ("key", "configured", "probability", "statement", "indistinguishable_from")
@@ -69,13 +83,12 @@ def answer_folder(command: str, folder: Path, config: Path | None, options: Arch
     end_as_on_interrupt()
     check_parquet()
     settings = load_settings(config)
-    made_with = digest_of(command, settings)
     if machine is not None:
         from eha_monitor.balances.machine import load
 
         load(machine, settings.rig)
         machine = machine.absolute()
-        made_with = hashlib.sha256(made_with.encode() + machine.read_bytes()).hexdigest()[:16]
+    made_with = digest_of(command, settings, machine)
     with ExitStack() as open_ones:
         cluster = None if options.scheduler is None else open_ones.enter_context(
             connected(options.scheduler, command))
@@ -92,7 +105,7 @@ def answer_folder(command: str, folder: Path, config: Path | None, options: Arch
             from eha_monitor.reports.archive_report import archive_page
 
             write_text(store.page, archive_page(list(store.rows.values()), command, settings,
-                                                folder, made_with, store.reports()))
+                                                folder, made_with, store.reports(), machine))
     rows = list(store.rows.values())
     show(rows, command, settings, made_with, folder, len(todo), [store.table, store.page])
     here = [row for row in rows if not row.get("gone")]
@@ -103,9 +116,10 @@ def answer_folder(command: str, folder: Path, config: Path | None, options: Arch
     return any(unhealthy(row) for row in here)
 
 
-def digest_of(command: str, settings: Settings) -> str:
+def digest_of(command: str, settings: Settings, machine: Path | None = None) -> str:
     """Return a digest of everything beside the bag that has a part in a row."""
-    parts = (command, settings.model_dump_json(), source_of(command))
+    parts = (command, settings.model_dump_json(), source_of(command),
+             *([] if machine is None else [machine.read_text(encoding="utf-8")]))
     return hashlib.sha256("\n".join(parts).encode()).hexdigest()[:16]
 
 
@@ -229,6 +243,9 @@ def _fill(row: dict, task: Task) -> None:
         last = diagnose(found.recording, config, machine=task.machine)
         row.update(diagnosis_columns(last.to_dict()))
     row.update(indicator_columns(last.indicators))
+    judged = limit_columns(last.indicators, task.settings)
+    if SEVERITY.index(judged.get("alarm", "OK")) >= SEVERITY.index(row.get("alarm", "OK")):
+        row.update(judged)
     if task.report is not None:
         task.report.parent.mkdir(parents=True, exist_ok=True)
         last.report(task.report)
@@ -243,6 +260,16 @@ def indicator_columns(indicators: tuple[Indicator, ...]) -> dict:
         row |= {column: one.value, f"{column}_stddev": one.stddev, f"{column}_noise": one.noise,
                 f"{column}_status": "in_doubt" if one.doubtful else one.status}
     return row
+
+
+def limit_columns(indicators: tuple[Indicator, ...], settings: Settings) -> dict:
+    """Return the columns of the alarm that indicators with a limit are; none without one."""
+    judged = [one for one in indicators if one.status == AVAILABLE and not one.doubtful
+              and limits_of_indicator(one.name, settings) != (None, None)]
+    beyond = [f"{one.words} of {one.shown} is beyond its limit" for one in judged
+              if passed(one, settings)]
+    return {} if not judged else {
+        "alarm": "ERROR" if beyond else "OK", "alarm_message": "; ".join(beyond) or None}
 
 
 def estimate_columns(tree: dict) -> dict:
@@ -312,8 +339,7 @@ def _where(problem: Exception) -> str:
 
 def unhealthy(row: dict) -> bool:
     """Tell whether a row has an alarm, or a model that does not fit; a broken bag has neither."""
-    return row.get("alarm") in ("WARN", "ERROR") or row.get("model") == "mismatch" or (
-        row.get("verdict") in ("mismatch", "unexplained"))
+    return row.get("alarm") in ("WARN", "ERROR") or misfits(row)
 
 
 def show(rows: Sequence[dict], command: str, settings: Settings, made_with: str, folder: Path,
@@ -333,7 +359,9 @@ def show(rows: Sequence[dict], command: str, settings: Settings, made_with: str,
     to.print(escape(report.summary_words(rows, command)))
     newest = sorted(rows, key=lambda row: (bool(row.get("error")), row.get("start") or "",
                                            row["bag"]), reverse=True)
-    if looked := [row for row in newest if row.get("error") or unhealthy(row)]:
+    alike = Counter(_why(row) for row in newest if _only_misfits(row))
+    if looked := [row for row in newest if row.get("error") or (
+            unhealthy(row) and alike[_why(row)] < ALIKE)]:
         shown = table("recording", "start", "alarm", "why")
         for row in looked[:MOST]:
             shown.add_row(escape(row["bag"]), (row.get("start") or "–")[:16].replace("T", " "),
@@ -341,6 +369,9 @@ def show(rows: Sequence[dict], command: str, settings: Settings, made_with: str,
         to.print(shown)
         if len(looked) > MOST:
             to.print(f"and {len(looked) - MOST} more")
+    for why, count in alike.items():
+        if count >= ALIKE:
+            to.print(escape(f"{count} recordings: {why}"))
     for one in report.histories_of(rows, command, made_with, settings):
         to.print(escape(" ".join(filter(None, (report.trend_words(one),
                                                report.outlook_words(one))))))
@@ -353,7 +384,13 @@ def _why(row: dict) -> str:
 
     alarmed = row.get("alarm") in ("WARN", "ERROR", NOT_JUDGED)
     misfit = f"the model does not fit: {row.get('model_balance')}"
-    return row.get("error") or "; ".join(phrases(row)) or (
-        row["alarm_message"] if alarmed else
+    said = [row["alarm_message"]] if alarmed and row.get("alarm_message") else []
+    return row.get("error") or "; ".join([*said, *phrases(row)]) or (
         row.get("verdict_message") or (misfit if row.get("model_balance") else "")
         or row.get("model_message") or "")
+
+
+def _only_misfits(row: dict) -> bool:
+    """Tell whether a row is looked at for a model only that does not fit, without an alarm."""
+    return not row.get("error") and not row.get("verdict") and misfits(row) and (
+        row.get("alarm") not in ("WARN", "ERROR"))

@@ -7,7 +7,7 @@ from operator import attrgetter
 
 import numpy as np
 
-from eha_monitor.estimation.results import Estimate, units_of
+from eha_monitor.estimation.results import Estimate, ParameterEstimate, units_of
 from eha_monitor.indicators import indicator, laws
 from eha_monitor.indicators.indicator import Indicator
 from eha_monitor.indicators.laws import LEAKS, SHEARED, viscosity_factor
@@ -134,9 +134,12 @@ def moments(recording: Recording, name: str, since: int) -> np.ndarray:
     return chosen[np.isfinite(chosen)]
 
 
-def evidence_of_diagnosis(found: Diagnosis, recordings: Sequence[Recording], settings: Settings
-                          ) -> Evidence:
-    """Return the evidence of a diagnosis of these recordings, in SI of a linear rig."""
+def evidence_of_diagnosis(found: Diagnosis, recordings: Sequence[Recording], settings: Settings,
+                          leakage: ParameterEstimate | None = None) -> Evidence:
+    """Return the evidence of a diagnosis of these recordings, in SI of a linear rig.
+
+    ``leakage`` : C_T by least squares, which stands where the diagnosis has none.
+    """
     values, covariance = fitted_values(found)
     why = {}
     if "leakage" not in values:
@@ -149,6 +152,9 @@ def evidence_of_diagnosis(found: Diagnosis, recordings: Sequence[Recording], set
             values = values | {"leakage": settings.rig.leakage}
             covariance = wider(covariance, [
                 settings.rig.leakage * settings.rig.tolerance.log_spread("leakage")])
+        elif leakage is not None and leakage.status == "converged":
+            values = values | {"leakage": leakage.value}
+            covariance = wider(covariance, [leakage.stddev])
         else:
             why["leakage"] = UNSEEN.format(
                 "it compares healthy recordings" if found.references else

@@ -22,7 +22,7 @@ from eha_monitor.archive.history import (
     first_of_copies,
     history,
 )
-from eha_monitor.archive.store import INDICATORS, PARAMETERS
+from eha_monitor.archive.store import INDICATORS, PARAMETERS, misfits
 from eha_monitor.health.alarms import NOT_JUDGED
 from eha_monitor.indicators.indicator import WORDS, limits_of_indicator
 from eha_monitor.mismatch.diagnosis import Value
@@ -258,7 +258,8 @@ _FITS = {"consistent": "consistent", "mismatch": "mismatch", "unexplained": "mis
 
 
 def archive_page(rows: Sequence[dict], command: str, settings: Settings, folder: Path,
-                 made_with: str, reports: Mapping[str, str] | None = None) -> str:
+                 made_with: str, reports: Mapping[str, str] | None = None,
+                 machine: Path | None = None) -> str:
     """Return the page of a table as HTML text.
 
     Parameters
@@ -266,25 +267,28 @@ def archive_page(rows: Sequence[dict], command: str, settings: Settings, folder:
     rows : of the table, in any order; those with another digest than ``made_with`` are marked.
     folder : of the bags.
     reports : bag -> address of its report, relative to the page.
+    machine : file of the healthy machine that each bag is judged against.
     """
     reports = reports or {}
     shown = sorted(rows, key=lambda row: (row.get("start") or "", row["bag"]), reverse=True)
     name = folder.resolve().name or str(folder)  # of "." too
     diagnosed = command == "diagnose"
     heads = "recording | start, UTC | length | B | βe | alarm | model" + (
-        " | wrong or left out" if diagnosed else "")
+        "" if not diagnosed else " | changed" if machine else " | wrong or left out")
     return render(
         "archive.html.j2", title=f"EHA monitor: {command} of {name}", name=name,
         facts=_facts(rows, command, settings), summary=summary_words(rows, command),
         kind=_kind(rows), diagnosed=diagnosed, linked=any(row["bag"] in reports for row in shown),
         histories=[history_block(one, settings)
                    for one in histories_of(rows, command, made_with, settings)],
-        effects=_effect_counts(rows),
+        effects=_effect_counts(rows), compared=machine is not None,
         broken=table("recording | why", [(row["bag"], row["error"]) for row in shown
                                          if row.get("error")], " | message error-text", "broken"),
         recordings=table(heads, [_row(row, command, made_with, reports.get(row["bag"], ""))
                                  for row in shown], key="recordings"),
-        command=f"eha-monitor {command} {shlex.quote(str(folder))}/BAG --report BAG.html")
+        command=f"eha-monitor {command} {shlex.quote(str(folder))}/BAG "
+                + (f"--machine {shlex.quote(str(machine))} " if machine else "")
+                + "--report BAG.html")
 
 
 def histories_of(rows: Sequence[dict], command: str, made_with: str, settings: Settings
@@ -377,7 +381,7 @@ def _kind(rows: Sequence[dict]) -> str:
     levels = {row.get("alarm") for row in rows}
     if "ERROR" in levels:
         return "error"
-    doubtful = any(row.get("error") or row.get("model") == "mismatch" for row in rows)
+    doubtful = any(row.get("error") or misfits(row) for row in rows)
     if "WARN" in levels or doubtful:
         return "warn"
     return "unknown" if NOT_JUDGED in levels else "ok"
@@ -397,7 +401,8 @@ def _row(row: dict, command: str, made_with: str, report: str) -> tuple[Cell, ..
              *(_parameter(row, name, command) for name in PARAMETERS),
              Cell("", "message", (row.get("alarm_message") or "").removeprefix(
                  f"{row.get('alarm')}: "), row.get("alarm") or ""),
-             Cell("", "message", "; ".join(filter(None, (row.get("model_balance"), error))),
+             Cell("", "message", "; ".join(filter(None, (
+                 None if row.get("verdict") else row.get("model_balance"), error))),
                   (row.get("verdict") or "").replace("_", " ") or row.get("model") or "",
                   _FITS.get(row.get("verdict"), "none") if command == "diagnose" else "")]
     if command == "diagnose":
