@@ -89,8 +89,8 @@ COLUMNS = (
     Column("B_reference_stddev", "number", "its standard deviation"),
     *(column for name, indicator in INDICATORS.items()
       for column in _of_indicator(name, indicator)),
-    Column("alarm", "text", "worst level of the four alarms at the end of the recording: OK, "
-           "STALE, not judged, WARN, ERROR"),
+    Column("alarm", "text", "worst level of the four alarms at the end of the recording, and "
+           "of the limits of the indicators: OK, STALE, not judged, WARN, ERROR"),
     Column("viscous_damping_high", "text", "level of this alarm"),
     Column("viscous_damping_low", "text", "level of this alarm"),
     Column("bulk_modulus_high", "text", "level of this alarm"),

@@ -212,6 +212,10 @@ def tables_of(courses: Sequence[Course], rig: Rig, balance: str,
         doubts = doubts_of(course, rig, balance, whole)
         rows = course.in_band(np.column_stack([whole, known, *doubts, *(row[i] for i in kept)]))
         good = course.compared(course.counted(balance))
+        if balance == "drive" and good.any():
+            # A controller's zero of the position is seldom the recorder's: K times what they
+            # differ by is constant, and no number of the drive.
+            rows = rows - rows[good].mean(axis=0)
         signal = rows[good, 0] - course.in_band(course.resting(balance))[good]
         signal -= signal.mean() if own_load else 0.0
         size = max(float(np.sqrt(np.mean(signal**2))), STILL)
