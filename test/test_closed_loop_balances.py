@@ -156,3 +156,14 @@ def test_what_the_config_leaves_is_told_where_nothing_explains_it(settings):
     assert quiet.verdict == gusty.verdict == "consistent"
     assert "of the force" not in quiet.message
     assert re.search(r"but for \d+ % of the force, of which no effect", gusty.message)
+
+
+@pytest.mark.parametrize("zero", [0.0, 3e-4])
+def test_the_recorders_zero_is_no_law_of_the_drive(settings, zero):
+    # K times 0.3 mm is a speed that had made a feed-forward in the place of the whole gain.
+    recordings = [replace(one, channels=one.channels | {"x": one.channels["x"] + zero})
+                  for one in (loop(seed) for seed in range(5))]
+    drive = {p.name: p.value for p in healthy_machine(recordings, settings)["drive"].parameters}
+    lag = drive.pop("tau", None) or drive.pop("tau_d")
+    assert lag == pytest.approx(LAG, rel=0.05)
+    assert set(drive) == {"k_d"} and abs(drive["k_d"]) < 0.01

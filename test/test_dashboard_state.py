@@ -92,10 +92,22 @@ def test_positions_are_compared_at_the_same_stamp(state):
 
 
 def test_limits_are_the_monitors_once_it_is_heard(state):
-    assert state.limits("beta_e") == [("low", "WARN", 4e8), ("low", "ERROR", 1.5e8)]
+    def limits(symbol):
+        return [one[:4] for one in state.limits(symbol)]
+
+    assert limits("beta_e") == [("low", "WARN", 4e8, 4e8), ("low", "ERROR", 1.5e8, 1.5e8)]
     heard = Finding("bulk_modulus_low", "OK", "", {"limit_warn": "5e+08", "limit_error": ""})
     state.take_findings("rig_7", [heard], 0.0)
-    assert state.limits("beta_e") == [("low", "WARN", 5e8)]
+    assert limits("beta_e") == [("low", "WARN", 5e8, 5e8)]
+    # Judged at the reference temperature, B is 5/4 of what it is in this oil.
+    heard = Finding("viscous_damping_high", "OK", "",
+                    {"limit_warn": "900", "at_reference": "1.25"})
+    state.take_findings("rig_7", [heard], 0.0)
+    high = [one for one in state.limits("B") if one.side == "high" and one.degree == "WARN"]
+    assert [one[2:4] for one in high] == [(900.0, 720.0)]
+    (mark,) = charts.estimate_data([], high, Scale(1.0, "N·s/m"), (0.0, 1.0))["series"][-1][
+        "markLine"]["data"]
+    assert mark["yAxis"] == 720.0 and mark["label"]["formatter"] == "WARN 900 at 40 °C"
     assert state.view(0.0).hardware == "rig_7"
 
 

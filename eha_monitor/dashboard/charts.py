@@ -12,7 +12,7 @@ from html import escape
 
 import numpy as np
 
-from eha_monitor.dashboard.state import POSITION_SPAN, STAGES, Row
+from eha_monitor.dashboard.state import POSITION_SPAN, STAGES, Limit, Row
 from eha_monitor.quantity import FLOOR, Scale, readable
 
 _INK, _LINE, _MEASURED, _DOUBTED = "#37474f", "#1565c0", "#6d4c41", "#78909c"
@@ -101,18 +101,18 @@ def estimate_frame(scale: Scale) -> dict:
     return _zoomable(_frame(_time_of_day(), scale.unit, series, legend))
 
 
-def estimate_data(rows: list[Row], limits: list[tuple[str, str, float]], scale: Scale,
+def estimate_data(rows: list[Row], limits: list[Limit], scale: Scale,
                   ends: tuple[float, float]) -> dict:
     """Return what moves in the chart of an estimate.
 
     Parameters
     ----------
     rows : (time of day s, value, stddev, 1 where it is in doubt), SI.
-    limits : side (``low``, ``high``), degree and SI value of each threshold.
+    limits : the thresholds.
     ends : of the time axis, time of day, s.
     """
     zone = zone_s()
-    marks = [_limit_mark(side, degree, limit * scale.factor) for side, degree, limit in limits]
+    marks = [_limit_mark(limit, scale) for limit in limits]
     values = [(_milliseconds(t, zone), value * scale.factor,
                scale.factor * max(stddev, FLOOR * abs(value)), doubt != 0.0)
               for t, value, stddev, doubt in rows]
@@ -131,19 +131,21 @@ def estimate_data(rows: list[Row], limits: list[tuple[str, str, float]], scale: 
             {"id": "limits", "markLine": {"symbol": "none", "silent": True, "data": marks}}]}
 
 
-def _limit_mark(side: str, degree: str, limit: float) -> dict:
+def _limit_mark(limit: Limit, scale: Scale) -> dict:
     """Return a threshold; ERROR is written on the far side of its line, WARN on the near one.
 
     High ones at the left end, low ones at the right: close ones do not lie over each other.
     """
-    end = "Start" if side == "high" else "End"
-    above = (side == "high") == (degree == "ERROR")
-    colour = _LIMIT_COLOURS[degree]
-    return {"yAxis": limit,
-            "label": {"formatter": f"{degree} {limit:g}", "color": colour,
+    high, error = limit.side == "high", limit.degree == "ERROR"
+    end, above = "Start" if high else "End", high == error
+    colour = _LIMIT_COLOURS[limit.degree]
+    at = "" if limit.drawn == limit.value else f" at {limit.temperature:g} °C"
+    return {"yAxis": limit.drawn * scale.factor,
+            "label": {"formatter": f"{limit.degree} {limit.value * scale.factor:g}{at}",
+                      "color": colour,
                       "position": f"inside{end}{'Top' if above else 'Bottom'}",
                       "distance": _OFF_THE_LINE},
-            "lineStyle": {"color": colour, "type": "dashed" if degree == "WARN" else "solid"}}
+            "lineStyle": {"color": colour, "type": "solid" if error else "dashed"}}
 
 
 def _time_range(ends: tuple[float, float], zone: int) -> dict:

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from itertools import groupby
 from pathlib import Path
+from typing import NamedTuple
 from urllib.parse import urlencode
 
 from eha_monitor.dashboard.events import (
@@ -167,6 +168,19 @@ SAME_RESET = 2.5  # a reset that is reported twice within this time is one, s
 # Keys of the innovations in the statuses of the stages.
 NIS, VARIANCE_RATIO, SAMPLES = ("innovation_nis", "innovation_variance_ratio",
                                 "innovation_samples")
+
+
+class Limit(NamedTuple):
+    """A threshold: ``low`` or ``high``, ``WARN`` or ``ERROR``, SI; drawn where the oil is now.
+
+    ``drawn`` differs from ``value`` where this holds at the reference ``temperature``, °C.
+    """
+
+    side: str
+    degree: str
+    value: float
+    drawn: float
+    temperature: float
 
 
 @dataclass
@@ -428,10 +442,11 @@ class State:
         with self._lock:
             return {name: self._histories[name].rows() for name in self._positions}
 
-    def limits(self, symbol: str) -> list[tuple[str, str, float]]:
-        """Return the thresholds of a parameter: (``low`` or ``high``, ``WARN`` or ``ERROR``, SI).
+    def limits(self, symbol: str) -> list[Limit]:
+        """Return the thresholds of a parameter, SI.
 
-        They are those that the monitor says it judges by, else those of the config.
+        They are those that the monitor says it judges by, else those of the config; of a value
+        that is judged at the reference temperature they lie where its oil is.
         """
         watched = next(w for w in WATCHED if w.symbol == symbol)
         configured = getattr(self.settings.thresholds, watched.section)
@@ -440,13 +455,17 @@ class State:
         found = []
         for side in ("low", "high"):
             heard = findings.get(f"{watched.section}_{side}")
+            carried = math.nan if heard is None else _number(heard, "at_reference")
             for degree in ("warn", "error"):
                 if heard is not None and f"limit_{degree}" in heard.values:
                     limit = _number(heard, f"limit_{degree}")
                 else:
                     limit = getattr(configured, f"{side}_{degree}")
                 if limit is not None and math.isfinite(limit):
-                    found.append((side, degree.upper(), float(limit)))
+                    found.append(Limit(
+                        side, degree.upper(), float(limit),
+                        float(limit) / carried if carried > 0.0 else float(limit),
+                        self.settings.viscosity.reference_temperature))
         return found
 
 

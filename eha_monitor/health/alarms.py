@@ -73,6 +73,8 @@ class AlarmBoard:
     def __init__(self, settings: Settings):
         # every change of a level so far, the first one of each alarm included
         self.history: list[Alarm] = []
+        # of each parameter what was judged last over what was measured: B at another temperature
+        self.carried: dict[str, float] = {}
         self._units = units_of(settings.rig.motion)
         watched = [replace(w, unit=self._units[w.symbol]) for w in WATCHED]
         self._judges = [Judge(w, sign) for w in watched for sign in (1.0, -1.0)]
@@ -157,8 +159,10 @@ class AlarmBoard:
         value, stddev = estimate.value, estimate.stddev
         if symbol == "B" and temperature is not None and math.isfinite(temperature):
             value, stddev = at_reference(self._viscosity, temperature, value, stddev)
+            self.carried[symbol] = value / estimate.value if estimate.value else 1.0
         else:
             temperature = None
+            self.carried.pop(symbol, None)
         shown = self._shown(symbol, estimate, value, stddev, temperature)
         if taint is None:
             self._rebase[symbol].fits(value)

@@ -62,6 +62,8 @@ def all_findings(settings: Settings, board: AlarmBoard,
         for degree in ("warn", "error"):
             limit = getattr(limits, f"{side}_{degree}")
             values[f"limit_{degree}"] = math.nan if limit is None else float(limit)
+        if watched.symbol in board.carried:
+            values["at_reference"] = board.carried[watched.symbol]
         yield Finding(alarm.name, alarm.level, alarm.message, values | {
             "since_s": float(alarm.time_s), "not_judged": int(alarm.not_judged)})
     for stage, watched in STAGES.items():
