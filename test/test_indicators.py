@@ -5,6 +5,7 @@ against Monte Carlo, and what is said where something is missing.
 import json
 import math
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,7 +15,14 @@ from eha_monitor.cli import main
 from eha_monitor.errors import InputError
 from eha_monitor.estimation.pipeline import estimate
 from eha_monitor.indicators.assemble import Evidence, evidence, evidence_of_estimate, indicators
-from eha_monitor.indicators.indicator import NAMES, limits_of_indicator, passed, propagated
+from eha_monitor.indicators.indicator import (
+    AVAILABLE,
+    NAMES,
+    Indicator,
+    limits_of_indicator,
+    passed,
+    propagated,
+)
 from eha_monitor.indicators.laws import (
     SHEARED,
     dry_friction,
@@ -25,6 +33,7 @@ from eha_monitor.indicators.laws import (
     volumetric_efficiency,
     walther,
 )
+from eha_monitor.live.diagnosing import comparison_findings
 from eha_monitor.mismatch.diagnosis import (
     Change,
     Diagnosis,
@@ -182,7 +191,7 @@ def test_a_missing_key_is_named_and_nothing_is_guessed():
     assert told["leakage"].missing == ("health.rated_pressure",)
     assert told["pump_efficiency"].missing == ("health.rated_pressure", "health.rated_speed")
     assert told["free_air"].missing == ("health.air_free_modulus",)
-    assert all(told[name].tree()["value"] is None for name in ("leakage", "free_air"))
+    assert all(told[name].tree(Settings())["value"] is None for name in ("leakage", "free_air"))
     assert told["damping"].status == "available"
     assert "unknown temperature" in told["damping"].message
 
@@ -196,15 +205,15 @@ def test_air_cannot_be_told_without_pressure_or_above_the_air_free_modulus():
                settings, "free_air")
     assert stiff.status == "cannot_be_told"
     assert "not clearly below" in stiff.message
-    assert stiff.tree()["value"] is None
-    assert stiff.tree()["below"] > 0
+    assert stiff.tree(settings)["value"] is None
+    assert stiff.tree(settings)["below"] > 0
 
 
 def test_friction_is_told_by_a_diagnosis_only_and_none_is_no_zero():
     settings = settings_with()
     assert "diagnose" in of(evidence_of({}), settings, "friction").message
     none = of(evidence_of({}, diagnosed=True, channels=("x",)), settings, "friction")
-    assert (none.status, none.tree()["value"]) == ("none_named", None)
+    assert (none.status, none.tree(settings)["value"]) == ("none_named", None)
     assumed = of(evidence_of({}, diagnosed=True, assumed={"coulomb_friction": {"F_c": 50.0}}),
                  settings, "friction")
     assert "not measured" in assumed.message
@@ -375,3 +384,16 @@ def test_air_is_that_of_the_joint_estimator_where_the_leakage_leads_stage_two_as
     assert not told["free_air"].doubtful
     assert told["free_air"].value == pytest.approx(truth, rel=0.1)
     assert told["leakage"].value == pytest.approx(0.5 * 2.5e-12 * 14e6 * 6e7, rel=0.05)
+
+
+def test_the_monitor_says_which_indicator_is_beyond_its_limit():
+    settings = settings_with({"leakage_limit": "8 mL/min"})
+    leak, air = (Indicator(name, value, 1.0, 1.0, unit, AVAILABLE, "", "").tree(settings)
+                 for name, value, unit in (("leakage", 16.0, "mL/min"), ("free_air", 2.0, "%")))
+    assert (leak["limit"], leak["beyond_limit"]) == (pytest.approx(8.0), True)
+    assert (air["limit"], air["beyond_limit"]) == (None, False)
+    compared = SimpleNamespace(verdict="consistent", tree={
+        "message": "", "changes": [], "indicators": [leak, air]})
+    _, one, other = comparison_findings(compared, "2026-12-01", 5)
+    assert (one.level, other.level) == ("ERROR", "OK")
+    assert one.message == "internal leakage 16.0 ± 1.0 mL/min, beyond its limit of 8 mL/min"

@@ -243,8 +243,9 @@ class Diagnosis(Record, Found):
         >>> d.to_dict()["effects"][0]["name"]
         'coulomb_friction'
         """
-        return answer(self) | {"channels": finite(self.channels),
-                               "indicators": [one.tree() for one in self.indicators]}
+        return answer(self) | {
+            "channels": finite(self.channels),
+            "indicators": [one.tree(self.config.settings) for one in self.indicators]}
 
     def to_frame(self, table: str = "effects") -> "pandas.DataFrame":
         """Return a table of the answer.

@@ -171,7 +171,7 @@ class Estimate(Record, Found):
         """
         return answer(self, self.alarms, self.alarm_history, self.observability) | {
             "channels": finite(self.channels),
-            "indicators": [one.tree() for one in self.indicators]}
+            "indicators": [one.tree(self.config.settings) for one in self.indicators]}
 
     def to_frame(self, table: str = "parameters") -> "pandas.DataFrame":
         """Return a table of the answer.

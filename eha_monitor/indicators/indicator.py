@@ -73,14 +73,20 @@ class Indicator:
         known = with_uncertainty(self.value, self.stddev, self.unit)
         return f"({known})" if self.doubtful else known
 
-    def tree(self) -> dict:
-        """Return what stands in a JSON answer; value and stddev only where they are known."""
+    def tree(self, settings: Settings) -> dict:
+        """Return what stands in a JSON answer; value and stddev only where they are known.
+
+        ``limit`` : of the config, in ``unit``, None for none; ``beyond_limit`` see :func:`passed`.
+        """
         known = self.status == AVAILABLE
+        limit = next((one for one in limits_of_indicator(self.name, settings)
+                      if one is not None), None)
         return {"name": self.name, "words": self.words, "value": self.value if known else None,
                 "stddev": self.stddev if known else None, "noise": self.noise if known else None,
                 "unit": self.unit, "status": self.status, "message": self.message,
                 "law": self.law, "missing": list(self.missing),
-                "below": self.below if math.isfinite(self.below) else None}
+                "below": self.below if math.isfinite(self.below) else None,
+                "limit": limit, "beyond_limit": passed(self, settings) and not self.doubtful}
 
 
 def propagated(function: Callable[[Mapping[str, float]], float], values: Mapping[str, float],

@@ -406,13 +406,18 @@ def comparison_findings(answer: Answer | None, since: str, healthy: int, why: st
             | {"unit": one["unit"], "since_utc": since}
             | ({"change_percent": 100.0 * (now / before - 1.0)} if before and now and abs(
                 before) > 3.0 * (one["reference"]["stddev"] or 0.0) else {})))
-    found += [Finding(f"indicator {one['name']}", "OK",
-                      f"{one['words']} {with_uncertainty(one['value'], one['stddev'], '')} "
-                      f"{one['unit']}",
-                      _number("value", one) | {"unit": one["unit"]})
-              for one in tree["indicators"]
-              if one.get("value") is not None and one.get("stddev") is not None]
-    return found
+    return found + [_indicator(one) for one in tree["indicators"]
+                    if one.get("value") is not None and one.get("stddev") is not None]
+
+
+def _indicator(one: dict) -> Finding:
+    """Return an indicator of health; ERROR beyond its limit."""
+    unit, limit, beyond = one["unit"], one.get("limit"), one.get("beyond_limit")
+    words = f"{one['words']} {with_uncertainty(one['value'], one['stddev'], '')} {unit}"
+    return Finding(f"indicator {one['name']}", "ERROR" if beyond else "OK",
+                   f"{words}, beyond its limit of {limit:g} {unit}" if beyond else words,
+                   _number("value", one) | {"unit": unit} | (
+                       {} if limit is None else {"limit": limit}))
 
 
 def _parameters(tree: dict) -> Iterator[Finding]:

@@ -56,6 +56,7 @@ class Comparison:
         self._compared = (0.0, 0, "")  # as what was due
         self._begins = 0  # log time of the rows that are compared, ns
         self._changed: set[str] = set()
+        self._beyond: set[str] = set()  # indicators beyond their limits
         self.reset()
 
     @property
@@ -159,6 +160,11 @@ class Comparison:
                                             begins if points else "")
         if news:
             self._tell(self.findings[0].message, self.findings[0].level)
+        beyond = {one.name: one.message for one in self.findings if one.level == "ERROR"}
+        for name, message in beyond.items():
+            if name not in self._beyond:
+                self._tell(f"{message}, in the rows since {since}", "ERROR")
+        self._beyond = set(beyond)
         if not kept:
             forget(answer)
         return True
