@@ -9,7 +9,7 @@ import numpy as np
 
 from eha_monitor.balances import places
 from eha_monitor.balances.advice import STIFF, advice_of
-from eha_monitor.balances.baseline import baseline, contradicted
+from eha_monitor.balances.baseline import absent_effects, baseline
 from eha_monitor.balances.candidates import (
     LINEAR,
     SIDES,
@@ -45,6 +45,7 @@ from eha_monitor.balances.together import of_one_machine
 from eha_monitor.errors import InputError
 from eha_monitor.mismatch.diagnosis import (
     BALANCE_OF,
+    Adjusted,
     Agreement,
     Change,
     Considered,
@@ -52,15 +53,14 @@ from eha_monitor.mismatch.diagnosis import (
     Fitted,
     Gate,
     Location,
-    Moved,
     NamedEffect,
     Overlay,
     RigFinding,
     SignalFit,
     Value,
+    adjusted_of,
+    adjusted_words,
     health_sentences,
-    moved_within,
-    moved_words,
     payload_sentences,
 )
 from eha_monitor.quantity import quantity, share, with_uncertainty
@@ -139,7 +139,7 @@ def answered(recordings: Sequence[Recording], settings: Settings, asked: Asked =
             models, found, rig) else ()),
         health=found.health + (() if machine is None else tuple(
             f"{one.source} does not belong: {one.why}" for one in machine.odd)) + left_out
-        + contradicted(courses, baselines, settings, policy),
+        + absent_effects(courses, baselines, settings, policy),
         remarks=() if machine is None else lines_of(machine),
         considered=untestable, machine=machine,
         belonging=None if machine is None else of_those_that_belong(
@@ -283,15 +283,15 @@ def _agreeing_words(models: Sequence[Model], rig: Rig, within: Sequence[RigFindi
     """Return that nothing is missing that has a name, and what is left all the same."""
     left = [f"{share(one.error, 2)} of the {one.balance}" for one in models
             if one.error > max(policy.worse, policy.clean * one.floor / one.size)]
-    off = moved_within(within, rig)
-    off += [Moved(f"{term.candidate.effect}.{term.candidate.symbol}", term.candidate.held,
+    off = adjusted_of(within, rig)
+    off += [Adjusted(f"{term.candidate.effect}.{term.candidate.symbol}", term.candidate.held,
                   Value(term.candidate.held + value, stddev, term.candidate.unit),
                   abs(value) > rig.tolerance.effects * term.candidate.held)
             for one in models for term in one.terms
             if term.candidate.held and within_tolerance(term, rig, policy)
             for value, stddev in [term.quantity] if policy.sure(value, stddev)]
     judged = f"{listed([one.balance for one in models])} balance{'s' * (len(models) > 1)}"
-    near, asked = moved_words(off)
+    near, asked = adjusted_words(off)
     said = "the config's own model" + (f", with {near}," if near else "")
     said += f" explains the {judged} of this recording"
     if asked:

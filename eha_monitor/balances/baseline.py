@@ -169,8 +169,8 @@ def beside(course: Course, settings: Settings) -> np.ndarray:
     return known_of(course, rig, *theta_of(rig, kept))["force"] - rig.mass * course.a
 
 
-def contradicted(courses: Sequence[Course], baselines: Sequence[Baseline], settings: Settings,
-                 policy: Policy) -> tuple[str, ...]:
+def absent_effects(courses: Sequence[Course], baselines: Sequence[Baseline], settings: Settings,
+                   policy: Policy) -> tuple[str, ...]:
     """Return which effects of the config make a flow that recordings do not have, a sentence each.
 
     Least squares on the flow ask for none of them.  Where what one makes of the measured motion,
@@ -178,17 +178,17 @@ def contradicted(courses: Sequence[Course], baselines: Sequence[Baseline], setti
     it is not there: a check valve that opens 0.1 bar too early made 400 ml/min of a healthy press.
     """
     rig, found = settings.rig, []
-    for name, values in settings.effects.items():
-        if name not in CATALOGUE or CATALOGUE[name].balance != "flow":
+    asked = {name: values for name, values in settings.effects.items()
+             if name in CATALOGUE and CATALOGUE[name].balance == "flow"}
+    for course, first in zip(courses, baselines, strict=True):
+        view = flow_columns(course, rig) if asked and first.flow is not None else None
+        if view is None:
             continue
-        for course, first in zip(courses, baselines, strict=True):
-            view = flow_columns(course, rig)
-            if first.flow is None or view is None:
-                continue
-            with_it, without = (known_of(course, rig, *theta_of(rig, effects))["flow"]
-                                for effects in ({name: values}, {}))
+        bare = known_of(course, rig, *theta_of(rig, {}))["flow"]
+        for name, values in asked.items():
+            made = known_of(course, rig, *theta_of(rig, {name: values}))["flow"] - bare
             rows = course.in_band(np.column_stack([
-                view[0], course.of_filled(*(with_it - without)), *(one[-1] for one in view[1])]))[
+                view[0], course.of_filled(*made), *(one[-1] for one in view[1])]))[
                     course.compared(course.counted("flow"))]
             taken = max(float(np.std(rows[:, 0])), 1e-300)
             much = rms(left_beside(rows[:, 1], rows[:, 2:])) / taken

@@ -29,10 +29,10 @@ from eha_monitor.mismatch.diagnosis import (
     RigFinding,
     SignalFit,
     Value,
+    adjusted_of,
+    adjusted_words,
     health_sentences,
     intermittent_load,
-    moved_within,
-    moved_words,
     payload_sentences,
 )
 from eha_monitor.mismatch.learn.validated import (
@@ -412,7 +412,7 @@ def rivals_of(experiment: Experiment, naming: Naming, name: str) -> tuple[str, .
 def message_of(draft: _Draft, where: Location) -> str:
     """Return the verdict in a sentence."""
     if draft.verdict == "consistent":
-        near, asked = moved_words(moved_within(draft.within, draft.experiment.settings.rig))
+        near, asked = adjusted_words(adjusted_of(draft.within, draft.experiment.settings.rig))
         parts = [near] if near else []
         if draft.as_written:
             own = listed([effect_words(name) for name in draft.as_written])

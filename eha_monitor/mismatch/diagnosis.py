@@ -102,7 +102,7 @@ def beside_config(key: str, configured: float, found: Value) -> str:
     return said + twice * (key == "leakage")
 
 
-class Moved(NamedTuple):
+class Adjusted(NamedTuple):
     """A number of the config that a recording moves; ``beyond`` its tolerance or within it."""
 
     key: str
@@ -111,14 +111,14 @@ class Moved(NamedTuple):
     beyond: bool
 
 
-def moved_within(findings: Sequence[RigFinding], rig: Rig) -> list[Moved]:
+def adjusted_of(findings: Sequence[RigFinding], rig: Rig) -> list[Adjusted]:
     """Return numbers of the rig that a recording moves within three tolerances."""
-    return [Moved(one.key, one.configured, one.found, abs(np.log(
+    return [Adjusted(one.key, one.configured, one.found, abs(np.log(
         one.found.value / one.configured)) > rig.tolerance.log_spread(one.key))
         for one in findings]
 
 
-def moved_words(numbers: Sequence[Moved]) -> tuple[str, str]:
+def adjusted_words(numbers: Sequence[Adjusted]) -> tuple[str, str]:
     """Return what an agreement says of numbers within three tolerances: what moved, what if.
 
     Within one tolerance only which they are; beyond it with what each would have to be, since a
