@@ -8,7 +8,15 @@ from typing import TYPE_CHECKING, Any
 
 from eha_monitor.api.common import READING, Progress, Record, calling, chosen, frame_of, reporter
 from eha_monitor.api.config import Config
-from eha_monitor.api.read import Several, checked, config_for, distinct, recordings_of, several
+from eha_monitor.api.read import (
+    Several,
+    at_one_zero,
+    checked,
+    config_for,
+    distinct,
+    recordings_of,
+    several,
+)
 from eha_monitor.compiled import load_runtime
 from eha_monitor.mismatch.advise.advice import advise as run
 from eha_monitor.mismatch.advise.identifiability import Confusion, DetectionLimit, Known
@@ -76,6 +84,8 @@ def advise(recordings: Several, config: Config | str | os.PathLike | dict | None
         load_runtime()
         read = recordings_of(given, config, "recordings")
         channels = checked(read, config.settings)
+        read, moved = at_one_zero(read, config.settings)
+        channels += moved
         with rig_motion(config.rig.motion):
             named, found = run(read, config.settings, bool(check), lambda text, share: say(
                 text, READING + (1 - READING) * share))

@@ -15,6 +15,7 @@ from eha_monitor.api.read import (
     Given,
     ImplausibleError,
     Several,
+    at_one_zero,
     checked,
     config_for,
     distinct,
@@ -146,6 +147,9 @@ def diagnose(recordings: Several, config: Config | str | os.PathLike | dict | No
                                   for part in (given, unseen, healthy))
         say("checking that recording and config match", READING)
         channels = checked([*read, *kept, *references], config.settings)
+        for part in (read, kept, references):
+            part[:], said = at_one_zero(part, config.settings)
+            channels += said
 
         def further(text: str, share: float) -> None:
             say(text, READING + (1 - READING) * share)

@@ -12,7 +12,14 @@ import numpy as np
 
 from eha_monitor.api.common import Progress, Record, calling, chosen, frame_of, read_only, reporter
 from eha_monitor.api.config import Config, path_of
-from eha_monitor.api.read import Given, ImplausibleError, checked, config_for, recordings_of
+from eha_monitor.api.read import (
+    Given,
+    ImplausibleError,
+    at_one_zero,
+    checked,
+    config_for,
+    recordings_of,
+)
 from eha_monitor.api.recording import Recording
 from eha_monitor.compiled import load_runtime
 from eha_monitor.errors import InputError
@@ -81,8 +88,9 @@ def estimate(recording: Given, config: Config | str | os.PathLike | dict | None 
         channels = checked([recorded], config.settings)
         refuse_short(recorded)  # a clock that runs wrong has been reported before
         say("estimating", 0.2)
+        (recorded,), moved = at_one_zero([recorded], config.settings)
         found = run(recorded, config.settings)
-        channels = (*channels, *found.channels)
+        channels = (*channels, *moved, *found.channels)
         alarms, history = judged(found)
         made = Estimate(**vars(found) | {
             "recording": Recording.of(recorded, config), "channels": channels,

@@ -12,6 +12,7 @@ from eha_monitor.api.config import Config, config_of, path_of
 from eha_monitor.api.recording import Recording
 from eha_monitor.archive.find import find_bags, is_archive
 from eha_monitor.errors import InputError
+from eha_monitor.estimation import zero
 from eha_monitor.plausibility.judge import corrected, plausibility_of
 from eha_monitor.recordings.importing import read_table
 from eha_monitor.recordings.read import read_recording
@@ -75,6 +76,13 @@ def checked(recordings: Sequence[Inner], settings: Settings) -> tuple[ChannelFin
     if any(finding.correction for finding in findings):
         mended = Config.of(corrected(settings, findings))
     raise ImplausibleError("; ".join(blocking), findings, mended, recordings=recordings)
+
+
+def at_one_zero(recordings: Sequence[Inner], settings: Settings
+                ) -> tuple[list[Inner], tuple[ChannelFinding, ...]]:
+    """Return recordings with their setpoints at the zero of their positions, and what says so."""
+    found = [zero.at_one_zero(one, settings) for one in recordings]
+    return [one for one, _ in found], tuple(finding for _, said in found for finding in said)
 
 
 def corrected_config(findings: Sequence[ChannelFinding], settings: Settings,
