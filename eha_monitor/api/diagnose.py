@@ -568,6 +568,7 @@ def _corrected_numbers(found: Found, settings: Settings, rig: dict, missing: lis
 
 def _named_physics(found: Found, tree: dict, missing: list[str]) -> list[str]:
     """Put the named effects into the tree; return what was changed, in words."""
+    given = {name: values for name, values in tree["effects"].items() if not is_own(values)}
     tree["effects"] = {name: values if is_own(values) else {
         key: rounded(value) for key, value in values.items() if math.isfinite(value)}
         for name, values in found.config_effects.items() if name in CATALOGUE or is_own(values)}
@@ -579,4 +580,8 @@ def _named_physics(found: Found, tree: dict, missing: list[str]) -> list[str]:
                            f"{reasons[effect.name]}")
     names = [effect.name for effect in found.effects if effect.name in tree["effects"]]
     lines = [f"effects: {', '.join(names)}"] if names else []
+    lines += [f"effects.{name}.{key}: {value:g}, was {was:g}"
+              for name, before in given.items() if name not in names
+              for key, was in before.items()
+              if (value := tree["effects"].get(name, {}).get(key, was)) != was]
     return lines + [f"effects, learned: {term.statement}" for term in found.learned]

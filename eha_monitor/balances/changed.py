@@ -89,7 +89,8 @@ def against(machine: Machine, recordings: Sequence[Recording], settings: Setting
                     ) if verdict == "mismatch" else ()
     if sensor:
         verdict, changes = "mismatch", (*changes, *sensor)
-    oil = None if any(one.what == "beta_e" for one in changes) else _oil(machine, stiffness)
+    oil = None if judged.broken or any(one.what == "beta_e" for one in changes) else _oil(
+        machine, stiffness)
     loud = {one.balance for one in judged.loud}
     if oil is not None and verdict == "unexplained" and "flow" not in loud:
         verdict, changes = "mismatch", (oil,)  # and something else as well
@@ -99,6 +100,9 @@ def against(machine: Machine, recordings: Sequence[Recording], settings: Setting
             verdict, changes, judged = "mismatch", (*changes, oil), softer
         else:
             verdict = "unexplained"
+    if judged.broken:
+        apart += ("check the channels (unit, sign, sensor): what no numbers of a machine come "
+                  "near is seldom the machine",)
     seconds, asked = sum(course.seconds for course in courses), 2.0 * machine.policy.block
     if verdict == "unexplained" and seconds < asked:  # so little may leave anything
         return replace(still(recordings, courses, (), started), references=references, message=(

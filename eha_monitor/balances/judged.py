@@ -22,6 +22,7 @@ from eha_monitor.settings.rig import Rig
 
 MUCH = 0.15  # of what came: right names leave 0.05 to 0.09 of it, wrong ones 0.24 to 0.8
 MANY = 3.0  # times as much where all is fitted anew: the same, however little of the signal it is
+BROKEN = 30.0  # times as much: a channel is read in another unit, with another sign, or of another
 ERROR = 1.5  # times the largest of the machine's own recordings: the balance does not belong
 
 
@@ -232,12 +233,26 @@ class Judged:
         return replace(self, balances=balances, values=self.values | {
             name: row for found in values for name, row in found.items()})
 
+    @property
+    def broken(self) -> bool:
+        """Whether force or flow is what no numbers come near, and no change explains.
+
+        Both are made of the same position and pressures: a sign or a unit of one of these was a
+        stiffer oil, or a drive with another law.
+        """
+        return any(one.alone > BROKEN and not one.changed and one.balance != "drive"
+                   for one in self.balances)
+
     def apart(self) -> "Judged":
         """Return it without the names of balances that these leave open, where another's do not.
 
         Each balance is measured by channels of its own, and stands by itself: what a drive does
-        that the config does not know hides no worn pump, and is none of its numbers.
+        that the config does not know hides no worn pump, and is none of its numbers.  But see
+        :attr:`broken`.
         """
+        if self.broken:
+            return replace(self, balances=tuple(
+                one.refused() if one.changed else one for one in self.balances))
         if not any(one.changed and one.settled for one in self.balances):
             return self
         return replace(self, balances=tuple(

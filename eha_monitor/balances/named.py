@@ -30,7 +30,8 @@ TWINS = {"mass": ("pressure_delay",), "pump_displacement": ("pump_flow_gain",),
 DRY_SYMBOLS = {"F_c", "F_d"}
 LARGEST = 0.998  # quantile of a term that is its size
 TOLD = 0.01  # a spread between recordings that is a smaller share is none to speak of
-
+TWICE = 0.5  # of a tolerance: a recording then knows a number twice as well
+APART = 2.0  # standard deviations by which it then differs
 
 Effects = Mapping[str, Mapping[str, float]]
 
@@ -196,8 +197,15 @@ def config_effects(models: Sequence[Model], effects: Sequence[NamedEffect], sett
 
     What the catalogue does not hold, or not that way round, has no place there.  A load that
     differs over the recordings is their mean, or that of the first where it is the ``newest``.
+    A number that the config has is the recordings' where they know it twice as well: 6 % of a
+    weight, within its tolerance, are a mismatch of 400 times the noise for a filter.
     """
     found = {name: dict(values) for name, values in settings.effects.items()}
+    for term in (term for model in models for term in model.terms):
+        c, (value, stddev) = term.candidate, term.quantity
+        if c.held and c.symbol in found.get(c.effect, {}) and (
+                stddev < TWICE * settings.rig.tolerance.effects * abs(c.held)):
+            found[c.effect][c.symbol] = c.held + value
     for effect in effects:
         entry, model = CATALOGUE.get(effect.name), next(
             one for one in models if one.balance == effect.balance)
@@ -326,8 +334,8 @@ def wrong_numbers(model: Model, rig: Rig, policy: Policy) -> list[RigFinding]:
 def numbers_within(model: Model, rig: Rig, policy: Policy) -> list[RigFinding]:
     """Return the numbers that a recording knows better than the config, within their tolerance.
 
-    Twice as well, and apart by more than half a tolerance, or by what the balance shows: what it
-    then takes away is said.
+    Twice as well, and apart by two deviations, and by more than half a tolerance or by what the
+    balance shows: what it then takes away is said.
     """
     found = []
     for term in model.terms:
@@ -340,8 +348,8 @@ def numbers_within(model: Model, rig: Rig, policy: Policy) -> list[RigFinding]:
         sigma = np.sqrt(max((now.stddev / now.value) ** 2 - error_of_area(
             rig, model.balance) ** 2, 0.0))
         moved = float(np.log(now.value / configured))
-        shows = abs(moved) > 0.5 * spread or _share(term, model, configured) > policy.worse
-        if not sigma < 0.5 * spread or abs(moved) <= policy.varied * sigma or not shows:
+        shows = abs(moved) > TWICE * spread or _share(term, model, configured) > policy.worse
+        if not sigma < TWICE * spread or abs(moved) <= APART * sigma or not shows:
             continue
         found.append(RigFinding(
             key, configured, now, np.nan, f"{beside_config(key, configured, now)}, "

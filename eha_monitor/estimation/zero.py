@@ -61,12 +61,16 @@ def at_one_zero(recording: Recording, settings: Settings
     if found is None:
         return recording, ()
     value, stddev = refined(recording, settings, *found)
-    unit = "rad" if settings.rig.motion == "rotary" else "m"
-    said = ChannelFinding(
-        f"x reads {with_uncertainty(abs(value), stddev, unit)} {'more' if value > 0.0 else 'less'}"
-        " than the drive's controller, as the pump's speed says: x_d is moved to the zero of x",
-        "offset", ("x", "x_d"))
+    said = ChannelFinding(words_of(value, stddev, settings), "offset", ("x", "x_d"))
     return moved(recording, value), (said,)
+
+
+def words_of(value: float, stddev: float, settings: Settings) -> str:
+    """Return what a zero says, in a sentence."""
+    unit = "rad" if settings.rig.motion == "rotary" else "m"
+    return (f"x reads {with_uncertainty(abs(value), stddev, unit)} "
+            f"{'more' if value > 0.0 else 'less'} than the drive's controller, as the pump's "
+            "speed says: x_d is moved to the zero of x")
 
 
 def moved(recording: Recording, value: float) -> Recording:

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from eha_monitor.balances.parameters import parameters_of
-from eha_monitor.estimation import hold_choice, stages
+from eha_monitor.estimation import hold_choice, stages, zero
 from eha_monitor.estimation.consistency import AROUND, Window, judge, stage_verdict
 from eha_monitor.estimation.discretisation import C_PLACE
 from eha_monitor.estimation.inputs import StageInputs
@@ -44,6 +44,7 @@ WEAK_S = 2.0, 8.0  # while stage two knows little: does the buffer show the modu
 BROKEN_S = 2.0, 64.0  # after stage two broke down; what broke it, a number of the config, stays
 HOLD_S = 0.5, 16.0  # while the evidence for a hold is weak
 PLAUSIBLE_S = 2.0, 16.0
+ZERO_S = 2.0, 16.0  # the zero of the position beside the controller's
 APART_S = 0.3  # between two actuators' runs of 20 to 60 ms: rows of ten catch up meanwhile
 FIRST_S = 2.0  # of rows; 360 cuts of so much and more of right recordings gave no false word
 
@@ -187,6 +188,27 @@ class LiveHold:
         other = hold_choice.with_hold(self._given, hold_choice.SAMPLED)
         held = stages.run_stage_two_kernel(StageInputs.of(rows, other), other, damping, variance)
         self.apart = abs(float(found.state.x[C_PLACE] / max(held.state.x[C_PLACE], 1e-9)) - 1.0)
+
+
+class LiveZero:
+    """By how much the position reads more than the controller's, as the rows show."""
+
+    def __init__(self, settings: Settings):
+        self._settings = settings
+        self._backoff = Backoff(*ZERO_S)
+
+    def due(self, now: float) -> bool:
+        """Tell whether the rows are to be examined at ``now`` (s)."""
+        return self._backoff.due(now)
+
+    def examine(self, now: float, rows: Recording) -> tuple[float, str]:
+        """Return by how much the setpoint of some rows is to be moved, m, and what says so."""
+        found = zero.zero_of(rows, self._settings)
+        self._backoff.answered(now, yes=False)
+        if found is None:
+            return 0.0, ""
+        value, stddev = zero.refined(rows, self._settings, *found)
+        return value, zero.words_of(value, stddev, self._settings)
 
 
 class LivePlausibility:

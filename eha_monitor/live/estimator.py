@@ -73,7 +73,7 @@ class LiveEstimator:
 
     def reset(self, reason: str) -> None:
         """Forget everything, estimates included; ``reason`` goes into the events."""
-        self._hold = checks.LiveHold(self._given)
+        self._hold, self._zero = checks.LiveHold(self._given), checks.LiveZero(self._given)
         self.settings = self._hold.settings
         self.dt = self.settings.rig.sample_time
         self._early: list[tuple[np.ndarray, Columns]] = []  # rows before there is a grid
@@ -154,6 +154,7 @@ class LiveEstimator:
                 self._temperature = None
             self._take(everything=True)
             self._grid = Grid(start, self.dt, frozenset(buffer.seen))
+            self._grid.buffer.zero = buffer.zero
             self._state.restart_rows()
             self._checkpoints.clear()
 
@@ -435,7 +436,7 @@ class LiveEstimator:
     def _hand_over(self, since_start: float) -> None:
         """Give stage two a damping, and run it again when that is worth it."""
         state = self._state
-        decided = self._decide_hold() if state.two is not None else False
+        decided = (self._decide_hold() or self._move_zero()) if state.two is not None else False
         why = None if self._changing() and state.two is not None else state.handover.decide(
             self._grid.time_of(state.taken), self._parameters()["B"], state.two,
             waited=since_start, stale=state.stale_piece, fits=not state.tester.standing("two"))
@@ -464,6 +465,20 @@ class LiveEstimator:
         if state.one is not None:
             state.one.use(self._model, moved_mass(self._model, self.dt))
         self._report("two", self._hold.sentence)
+        return True
+
+    def _move_zero(self) -> bool:
+        """Examine the rows for the zero of the setpoint; tell whether it has moved."""
+        state, buffer = self._state, self._grid.buffer
+        now = self._grid.time_of(state.taken)
+        if not self._zero.due(now):
+            return False
+        self._turns.took(self)
+        moved, said = self._zero.examine(now, buffer.recording(buffer.first, state.taken))
+        if not moved:
+            return False
+        buffer.zero += moved
+        self._report("two", said)
         return True
 
     def _run_two_again(self) -> None:

@@ -20,10 +20,11 @@ class LiveBuffer:
     """Rows ``first`` to ``end`` (absolute numbers) of the grid, NaN where nothing came.
 
     ``seconds`` are kept at least; ``seen`` are channels that came before, not in these rows.
+    ``zero`` : by which the setpoint of its recordings is moved, m (:mod:`estimation.zero`).
     """
 
     def __init__(self, seconds: float, dt: float, seen: frozenset[str] = frozenset()):
-        self.dt = dt
+        self.dt, self.zero = dt, 0.0
         self.length = round(seconds / dt)
         self._columns = {name: np.full(2 * self.length, np.nan) for name in (*CHANNELS, *EXTRA)}
         self.first = 0
@@ -63,9 +64,10 @@ class LiveBuffer:
         return {name: self.column(name, start, stop) for name in CHANNELS if name in self.seen}
 
     def recording(self, start: int, stop: int) -> Recording:
-        """Return a stretch as a recording."""
-        return Recording(self.dt, {name: values.copy()
-                                   for name, values in self.channels(start, stop).items()})
+        """Return a stretch as a recording, its setpoint at the zero of its position."""
+        return Recording(self.dt, {
+            name: values + self.zero if name == "x_d" else values.copy()
+            for name, values in self.channels(start, stop).items()})
 
 
 class Grid:
