@@ -256,3 +256,13 @@ def test_the_scale_of_the_drawing_is_round_and_holds_the_motion():
         assert largest <= half < 12.0 * max(largest, 1e-3)
         assert abs(charts.place(-largest, half)) <= 150.0
     assert "−50 mm" in charts.drawing(0.05, "m")
+
+
+def test_a_change_of_the_machine_is_in_the_header(state):
+    fine = [Finding("bulk_modulus_low", "OK", ""), Finding("data", "OK", "data come")]
+    state.take_findings("eha", [*fine, Finding("machine", "OK", "nothing has changed")], 0.0)
+    assert words.overall(state.view(0.0))[0] == "OK"
+    state.take_findings("eha", [*fine, Finding("machine", "WARN", "a leak has grown")], 0.0)
+    assert words.overall(state.view(0.0))[0] == "WARN"
+    state.take_findings("eha", [*fine, Finding("indicator leakage", "ERROR", "beyond")], 0.0)
+    assert words.overall(state.view(0.0))[0] == "ERROR"

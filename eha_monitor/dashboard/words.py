@@ -10,7 +10,14 @@ from eha_monitor.dashboard import state
 from eha_monitor.dashboard.events import ACKNOWLEDGED, MISMATCH
 from eha_monitor.estimation.results import units_of
 from eha_monitor.health.alarms import NO_LIMIT, NOT_JUDGED, WATCHED
-from eha_monitor.health.judge import DIAGNOSIS, MACHINE, MODEL_IN_FORCE, SEVERITY, Finding
+from eha_monitor.health.judge import (
+    DIAGNOSIS,
+    INDICATOR,
+    MACHINE,
+    MODEL_IN_FORCE,
+    SEVERITY,
+    Finding,
+)
 from eha_monitor.quantity import SYMBOLS, Scale, number, readable, with_uncertainty
 from eha_monitor.settings import Settings
 from eha_monitor.words import probability
@@ -79,21 +86,24 @@ def worst(findings: list[Finding]) -> str:
 def overall(view: state.View) -> tuple[str, str]:
     """Return the level of the header and its words.
 
-    It is the worst of what is judged.  STALE is for data that do not come; while they come, an
-    alarm that nothing can be said about is counted beside the level and does not hide the rest.
+    It is the worst of what is judged, a change of the machine with it.  STALE is for data that do
+    not come; while they come, an alarm that nothing can be said about is counted beside the level
+    and does not hide the rest.
     """
     data = view.findings.get("data")
     if not view.findings or (data is not None and data.level == "STALE"):
         return "STALE", level_text("STALE")
     mismatch = [view.findings[MISMATCH]] if MISMATCH in view.findings else []
+    machine = [one for name, one in view.findings.items() if one.level in ("WARN", "ERROR") and (
+        name == MACHINE or name.startswith(INDICATOR))]
     # Without a limit there is no level, and no OK.
     listed = [finding for finding in state.alarms(view) if finding.message != NO_LIMIT]
     judged = [finding for finding in listed if finding.word not in ("STALE", NOT_JUDGED)]
     # A value beyond its limit that a misfit holds back must be visible.
     held = [one for one in listed if one.word == NOT_JUDGED and one.level == "WARN"]
-    if not (judged or held or (not listed and worst(mismatch) == "WARN")):
+    if not (judged or held or machine or (not listed and worst(mismatch) == "WARN")):
         return "STALE", "◌ not judged yet" if listed else "◌ no limits set"
-    level = worst([*judged, *held, *(one for one in mismatch if one.level != "STALE")])
+    level = worst([*judged, *held, *machine, *(one for one in mismatch if one.level != "STALE")])
     left = len(listed) - len(judged)
     return level, level_text(level) + (f", {left} of {len(listed)} not judged" if left else "")
 

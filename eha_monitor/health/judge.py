@@ -18,6 +18,7 @@ Level = Literal["OK", "WARN", "ERROR", "STALE"]
 # Lines of ``monitor/diagnosis`` that are always there.
 DIAGNOSIS, MODEL_IN_FORCE = "diagnosis", "model_in_force"
 MACHINE = "machine"  # and this one beside a machine file
+INDICATOR = "indicator "  # and these, each with its name
 MISMATCH = "model_mismatch"  # the test of the model, a line of ``monitor/health``
 RAISED: tuple[Level, ...] = ("OK", "WARN", "ERROR")
 NOT_JUDGED = "not judged"

@@ -23,7 +23,7 @@ import numpy as np
 from eha_monitor.errors import InputError
 from eha_monitor.estimation.results import STAGES, LiveSnapshot
 from eha_monitor.health.alarms import WATCHED
-from eha_monitor.health.judge import DIAGNOSIS, MACHINE, MODEL_IN_FORCE, Finding
+from eha_monitor.health.judge import DIAGNOSIS, INDICATOR, MACHINE, MODEL_IN_FORCE, Finding
 from eha_monitor.live.estimator import LiveEstimator
 from eha_monitor.live.ingest import Columns
 from eha_monitor.output import environment, write_json
@@ -414,7 +414,7 @@ def _indicator(one: dict) -> Finding:
     """Return an indicator of health; ERROR beyond its limit."""
     unit, limit, beyond = one["unit"], one.get("limit"), one.get("beyond_limit")
     words = f"{one['words']} {with_uncertainty(one['value'], one['stddev'], '')} {unit}"
-    return Finding(f"indicator {one['name']}", "ERROR" if beyond else "OK",
+    return Finding(f"{INDICATOR}{one['name']}", "ERROR" if beyond else "OK",
                    f"{words}, beyond its limit of {limit:g} {unit}" if beyond else words,
                    _number("value", one) | {"unit": unit} | (
                        {} if limit is None else {"limit": limit}))

@@ -40,6 +40,7 @@ POLL_PERIOD = 0.2
 PAST_S = 10.0  # of the buffer, that an estimator begins with: a window of the model's test
 SLICE_S = 0.03  # of each turn, for an estimator that catches up
 EARLIER = 3  # bags of the same mismatch that are diagnosed with the newest
+WORSE = 2.0  # times the NIS of the model in force: another one is then no answer
 LONGEST_S = 3600.0  # between two diagnoses of one mismatch
 SERVICE, AUTOMATIC = "service", "automatic"
 _BY = {SERVICE: "on the service", AUTOMATIC: "by itself"}
@@ -107,6 +108,7 @@ class SelfDiagnosis:
         self._waits = self._waits if self._waits == SERVICE else ""
         self._since_s: float | None = None
         self._tries, self._explained = 0, False
+        self._model = ModelStatus("not_judged", "")  # the last test of that in force
         self._ended_s = -np.inf  # when the last diagnosis of it ended
         # what the last diagnosis says of the mismatch that stands; None before one
         self.of_mismatch: Answer | None = None
@@ -120,6 +122,14 @@ class SelfDiagnosis:
         """The settings with the adopted model, if there is one."""
         return self._settings if self.adopted is None else self.adopted.applied(self._settings)
 
+    @property
+    def of_machine(self) -> list[Finding]:
+        """What the comparison with the healthy machine says; indicators beyond their limits."""
+        if self._comparison is None:
+            return []
+        first, *rest = self._comparison.findings
+        return [first, *(one for one in rest if one.level == "ERROR")]
+
     def known(self, snapshot: LiveSnapshot) -> LiveSnapshot:
         """Return a snapshot that is no surer than the diagnosis whose model is in force."""
         return snapshot if self.adopted is None else self.adopted.widened(snapshot, self.in_force)
@@ -132,7 +142,7 @@ class SelfDiagnosis:
     def note(self, model: ModelStatus, parameters: Mapping[str, ParameterEstimate], now_s: float
              ) -> None:
         """Take the test of the model at ``now_s``; begin a diagnosis if that is due."""
-        self._now_s = now_s
+        self._now_s, self._model = now_s, model
         if self._moments and now_s < self._moments[-1][0]:
             self._moments.clear()  # the estimator has begun anew, and its time with it
         self._moments.append((now_s, time.time_ns()))
@@ -184,7 +194,27 @@ class SelfDiagnosis:
                 return
             if model.status != "consistent":
                 return  # nothing shows it yet
+        elif self._target is not None and (why := self._worse()):
+            self._refuse(why)
+            self._services["adopt"].end(False, f"not adopted: {why}")
+            return
         self._take_over()
+
+    def _worse(self) -> str:
+        """Return where a model fits the last seconds worse than that in force, "" if nowhere.
+
+        One that fits them no better than before is adopted, and that is said.
+        """
+        model = self._coming.estimator.snapshot().model
+        before = {one.stage: one.nis for one in self._model.mismatches}
+        for one in model.mismatches:
+            now, was = one.nis, max(before.get(one.stage, 1.0), 1.0)
+            if now > WORSE * was:
+                return (f"with it stage {one.stage} fits the last seconds worse than with the "
+                        f"model in force: NIS {now:.3g}, {was:.3g} now")
+        if model.mismatches:
+            self._caution += f"; it does not fit the last seconds: {model.message}"
+        return ""
 
     def stop(self) -> None:
         """End what is under way."""

@@ -429,7 +429,7 @@ class Monitor:
                              snapshot.consistency if snapshot else {},
                              self._model, self._events, self.data,
                              self.diagnosis.of_mismatch)
-        self._outputs.health(with_bags(found, self.keeper.bags))
+        self._outputs.health([*with_bags(found, self.keeper.bags), *self.diagnosis.of_machine])
 
     def summary(self) -> str:
         """Return what was processed, lost and how late, in one line."""
