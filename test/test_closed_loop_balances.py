@@ -6,6 +6,7 @@ the force asks for.  Nothing of the simulator or of the catalogue takes part.
 
 import re
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ from machine_tools import healthy_machine
 from scipy.ndimage import gaussian_filter1d
 
 from eha_monitor.balances.answer import Asked, answered
-from eha_monitor.balances.changed import against
+from eha_monitor.balances.changed import _fed, against
 from eha_monitor.balances.judge import judge
 from eha_monitor.balances.measured import course_of
 from eha_monitor.recordings.recording import Recording
@@ -167,3 +168,18 @@ def test_the_recorders_zero_is_no_law_of_the_drive(settings, zero):
     lag = drive.pop("tau", None) or drive.pop("tau_d")
     assert lag == pytest.approx(LAG, rel=0.05)
     assert set(drive) == {"k_d"} and abs(drive["k_d"]) < 0.01
+
+
+def test_what_the_make_up_path_lacks_from_a_lower_source_is_no_leak(settings):
+    column = np.linspace(1e6, 3e6, 50)
+    table = SimpleNamespace(rows=np.column_stack([column, column]), good=np.ones(50, bool),
+                            places={"L_1": 1})
+    judged = SimpleNamespace(balances=(SimpleNamespace(balance="flow", table=table),))
+    source = SimpleNamespace(now=SimpleNamespace(value=7e5), reference=SimpleNamespace(value=13e5))
+    most = settings.rig.makeup_conductance * np.exp(
+        2.0 * settings.rig.tolerance.log_spread("makeup_conductance")) * 6e5
+    for share, fed in ((0.9, True), (1.1, False)):
+        grown = share * most / np.sqrt(np.mean(column**2))
+        moved = SimpleNamespace(candidate=SimpleNamespace(name="L_1", effect="external_leakage"),
+                                here=2e-13 + grown, machine=2e-13)
+        assert _fed(moved, judged, source, settings.rig) is fed

@@ -88,9 +88,12 @@ class LoadWatch:
                          "are missing")
         if behind > BEHIND_S:
             parts.append(f"it is {behind:.1f} s behind")
+        # Nothing waits: it may be the publishers that send less.
+        rarer = "" if behind > BEHIND_S else (
+            "; or the messages come less often than rig.sample_time says")
         of_now = ", so the estimates are not current" if worst else ""
         return Overload("ERROR" if worst else "WARN", f"{OVERLOADED}: "
-                        f"{' and '.join(parts)}{of_now}; {WHAT_TO_DO}")
+                        f"{' and '.join(parts)}{of_now}; {WHAT_TO_DO}{rarer}")
 
 
 class LatencyMeter:
