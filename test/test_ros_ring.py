@@ -141,7 +141,7 @@ def once(graph, folder, adopt):
                    "diagnosis": ring.until(lambda: "effect coulomb_friction" in ring.found,
                                            3 * PATIENCE)}
         if adopt == "service":
-            ring.until(lambda: "its diagnosis: mismatch: Coulomb" in ring.said("model_mismatch"))
+            ring.until(lambda: ": mismatch: Coulomb" in ring.said("model_mismatch"))
             answer = ring.caller.trigger("/eha/monitor/adopt")
             assert answer.success, answer.message
         moments["adopted"] = ring.until(

@@ -7,6 +7,7 @@ taken the rows of its buffer in small slices, has caught up.
 import json
 import math
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -33,6 +34,7 @@ from eha_monitor.settings.monitor import Settings
 from eha_monitor.words import listed
 
 SCHEMA = "eha_monitor/adopted/1"
+STAMPED = re.compile(r"_(\d{8}T\d{6})_\d+Z")  # names of bags that the monitor saves
 MODEL = ("rig", "effects", "command_hold")  # sections and keys of the config that are the model
 
 
@@ -199,6 +201,13 @@ class Answer:
         """What it says in one line, and the numbers of the rig that it knows better."""
         return "; ".join([self.tree.get("message", ""), *(
             one["statement"] for one in self.tree.get("rig_within", []))])
+
+    @property
+    def until(self) -> str:
+        """When the newest of its rows came, HH:MM:SS UTC by its bag's name; "" where not known."""
+        found = [STAMPED.search(bag.name) for bag in self.bags]
+        times = sorted(one.group(1) for one in found if one is not None)
+        return f"{times[-1][9:11]}:{times[-1][11:13]}:{times[-1][13:15]} UTC" if times else ""
 
     @property
     def spread(self) -> dict[str, float]:

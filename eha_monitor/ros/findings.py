@@ -149,7 +149,8 @@ def _mismatch(model: ModelStatus, consistency: dict[str, Consistency | None],
     why, what = f": {model.message}", ADVICE
     if diagnosed is not None:  # which says why
         values["diagnosed"] = diagnosed.verdict
-        why, what = "", f"its diagnosis: {diagnosed.words}"
+        of = f" of the rows until {diagnosed.until}" if diagnosed.until else ""
+        why, what = "", f"its diagnosis{of}: {diagnosed.words}"
     return Finding(MISMATCH, "WARN", f"the model does not fit since t = {first.since_s:.1f} s"
                    f"{why}{in_doubt}; {what}", values)
 
