@@ -29,6 +29,7 @@ LEAST = 1e-3  # of the speed's rms: less shows in no filter
 LAW = 0.3  # of the speed may be left: beyond, the drive follows another law, or far behind
 WITHIN = 0.9  # of the top speed: where a limit holds the drive, it does not follow
 FEWEST = 200  # samples
+ROUNDED = 1e-9  # of the speed's rms: recordings without noise know no more
 
 
 def zero_of(recording: Recording, settings: Settings) -> tuple[float, float] | None:
@@ -50,7 +51,7 @@ def zero_of(recording: Recording, settings: Settings) -> tuple[float, float] | N
     rest = float(np.nanstd(left))
     if not (size > 0.0 and rest < LAW * size and abs(mean) > LEAST * size):
         return None
-    stddev = rest * float(np.sqrt(independent(left - mean) / followed.sum()))
+    stddev = max(rest * float(np.sqrt(independent(left - mean) / followed.sum())), ROUNDED * size)
     return (mean / gain, stddev / gain) if abs(mean) > SURE * stddev else None
 
 
