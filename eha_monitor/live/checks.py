@@ -193,22 +193,24 @@ class LiveHold:
 class LiveZero:
     """By how much the position reads more than the controller's, as the rows show."""
 
-    def __init__(self, settings: Settings):
-        self._settings = settings
+    def __init__(self):
         self._backoff = Backoff(*ZERO_S)
 
     def due(self, now: float) -> bool:
         """Tell whether the rows are to be examined at ``now`` (s)."""
         return self._backoff.due(now)
 
-    def examine(self, now: float, rows: Recording) -> tuple[float, str]:
-        """Return by how much the setpoint of some rows is to be moved, m, and what says so."""
-        found = zero.zero_of(rows, self._settings)
+    def examine(self, now: float, rows: Recording, settings: Settings) -> tuple[float, str]:
+        """Return by how much the setpoint of some rows is to be moved, m, and what says so.
+
+        ``settings`` : those in force, with the hold as far as it is decided.
+        """
+        found = zero.zero_of(rows, settings)
         self._backoff.answered(now, yes=False)
         if found is None:
             return 0.0, ""
-        value, stddev = zero.refined(rows, self._settings, *found)
-        return value, zero.words_of(value, stddev, self._settings)
+        value, stddev = zero.refined(rows, settings, *found)
+        return value, zero.words_of(value, stddev, settings)
 
 
 class LivePlausibility:

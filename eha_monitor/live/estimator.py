@@ -73,7 +73,7 @@ class LiveEstimator:
 
     def reset(self, reason: str) -> None:
         """Forget everything, estimates included; ``reason`` goes into the events."""
-        self._hold, self._zero = checks.LiveHold(self._given), checks.LiveZero(self._given)
+        self._hold, self._zero = checks.LiveHold(self._given), checks.LiveZero()
         self.settings = self._hold.settings
         self.dt = self.settings.rig.sample_time
         self._early: list[tuple[np.ndarray, Columns]] = []  # rows before there is a grid
@@ -474,7 +474,8 @@ class LiveEstimator:
         if not self._zero.due(now):
             return False
         self._turns.took(self)
-        moved, said = self._zero.examine(now, buffer.recording(buffer.first, state.taken))
+        moved, said = self._zero.examine(
+            now, buffer.recording(buffer.first, state.taken), self.settings)
         if not moved:
             return False
         buffer.zero += moved
