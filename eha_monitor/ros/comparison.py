@@ -57,6 +57,7 @@ class Comparison:
         self._begins = 0  # log time of the rows that are compared, ns
         self._changed: set[str] = set()
         self._beyond: set[str] = set()  # indicators beyond their limits
+        self._unfit_ns = 0  # until when rows contradicted their config
         self.reset()
 
     @property
@@ -95,6 +96,12 @@ class Comparison:
         self._values |= {name: value for name, value in known.items()
                          if why or name not in self._values}
 
+    def leave_out(self, until_ns: int) -> None:
+        """Compare none of the rows until a log time, ns."""
+        self._unfit_ns = until_ns
+        if not self.under_way:
+            self._due = None
+
     def begin_if_due(self, now_s: float) -> None:
         """Save what came since something moved, once that is enough, and compare it.
 
@@ -108,7 +115,7 @@ class Comparison:
             self.saving, self._last_s, self._compared = True, now_s, self._due
             latest = self._log_ns(now_s - max(LATEST_S, enough))
             begins = self._due[1] + (round(1e9 * MOVES_S) if self._again else 0)
-            self._begins = max(begins, latest)
+            self._begins = max(begins, latest, self._unfit_ns)
             self._keeper.save_since(self._begins, self._saved)
 
     def _saved(self, bag: Saved) -> None:

@@ -109,6 +109,7 @@ class SelfDiagnosis:
         self._since_s: float | None = None
         self._tries, self._explained = 0, False
         self._model = ModelStatus("not_judged", "")  # the last test of that in force
+        self._unfit_ns = 0  # until when rows contradicted their config
         self._ended_s = -np.inf  # when the last diagnosis of it ended
         # what the last diagnosis says of the mismatch that stands; None before one
         self.of_mismatch: Answer | None = None
@@ -129,6 +130,13 @@ class SelfDiagnosis:
             return []
         first, *rest = self._comparison.findings
         return [first, *(one for one in rest if one.level == "ERROR")]
+
+    def leave_out(self) -> None:
+        """Diagnose and compare none of the rows so far: their channels contradict the config."""
+        self._unfit_ns = time.time_ns()
+        self._same.clear()
+        if self._comparison is not None:
+            self._comparison.leave_out(self._unfit_ns)
 
     def known(self, snapshot: LiveSnapshot) -> LiveSnapshot:
         """Return a snapshot that is no surer than the diagnosis whose model is in force."""
@@ -274,7 +282,7 @@ class SelfDiagnosis:
         since_ns = self._saved_ns + 1 if self._saved_ns is not None else (
             0 if self._since_s is None else self._log_ns(self._since_s))
         self._tell(f"diagnosis begun {_BY[by]}")
-        self._keeper.save_since(since_ns, self._saved)
+        self._keeper.save_since(max(since_ns, self._unfit_ns), self._saved)
 
     def _log_ns(self, row_s: float) -> int:
         """Return the log time, ns, at which a row's time, s, had come; 0 where it is long ago."""

@@ -266,6 +266,8 @@ class Monitor:
         self.data.implausible = snapshot.implausible
         self.data.refused = bool(snapshot.implausible) and (
             snapshot.model.message == snapshot.implausible)
+        if self.data.refused:
+            self.diagnosis.leave_out()
         for event in snapshot.events:
             self._events[event.stage] = event
             self.node.get_logger().info(f"stage {event.stage}: {event.message}")
