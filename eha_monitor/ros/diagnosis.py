@@ -69,6 +69,8 @@ class SelfDiagnosis:
         self._file = self._folder / f"{plain_name(settings.rig.name)}_adopted.json"
         # the model in force in place of the config's, None where there is none
         self.adopted: Adopted | None = None
+        self._model = ModelStatus("not_judged", "")  # the last test of that in force
+        self._unfit_ns = 0  # until when rows contradicted their config
         self._answer: Answer | None = None
         self._running: Diagnosing | None = None
         self._saving = False
@@ -108,8 +110,6 @@ class SelfDiagnosis:
         self._waits = self._waits if self._waits == SERVICE else ""
         self._since_s: float | None = None
         self._tries, self._explained = 0, False
-        self._model = ModelStatus("not_judged", "")  # the last test of that in force
-        self._unfit_ns = 0  # until when rows contradicted their config
         self._ended_s = -np.inf  # when the last diagnosis of it ended
         # what the last diagnosis says of the mismatch that stands; None before one
         self.of_mismatch: Answer | None = None
