@@ -364,4 +364,9 @@ def test_a_leakage_is_known_beside_effects_of_the_config(leak):
     assert found.joint is None and found.leakage.status == "converged"
     assert found.leakage.value == pytest.approx(leak * C_T, abs=2.0 * found.leakage.stddev)
     assert evidence_of_estimate(found).values["leakage"] == found.leakage.value
+    # What the config has of another leak is beside it, and both are what leaks.
+    other = estimate(run.recording(0), settings(effects=spring | {
+        "cross_port_leakage": {"L": 0.2 * leak * C_T}}))
+    assert other.leakage.value == pytest.approx(0.6 * leak * C_T, abs=2.0 * found.leakage.stddev)
+    assert evidence_of_estimate(other).values["cross_port_leakage.L"] == 0.2 * leak * C_T
     assert estimate(without(run.recording(0), "omega"), known).leakage is None

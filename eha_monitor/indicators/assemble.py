@@ -90,6 +90,10 @@ def evidence_of_estimate(found: Estimate) -> Evidence:
         parameters["leakage"] = found.leakage
     else:
         why["leakage"] = f"in doubt: {found.joint_doubt}" if found.joint_doubt else NO_LEAKAGE
+    if "leakage" in parameters and found.leakage is parameters["leakage"]:
+        known = leaks_of(found.settings)  # beside which it stands
+        values |= known
+        variances += [0.0] * len(known)
     for name, one in parameters.items():
         if one.status == "converged":
             values[name] = one.value
@@ -101,6 +105,12 @@ def evidence_of_estimate(found: Estimate) -> Evidence:
     made = evidence([found.recording], found.settings, values, np.diag(variances), why,
                     since=since)
     return replace(made, doubts={name: taint.reason for name, taint in doubts.items()})
+
+
+def leaks_of(settings: Settings) -> dict[str, float]:
+    """Return ``<effect>.<parameter>`` of the leakages that the config has, SI."""
+    return {f"{name}.{key}": value for name in LEAKS
+            for key, value in settings.effects.get(name, {}).items()}
 
 
 def evidence(recordings: Sequence[Recording], settings: Settings, values: Mapping[str, float],
@@ -153,8 +163,8 @@ def evidence_of_diagnosis(found: Diagnosis, recordings: Sequence[Recording], set
             covariance = wider(covariance, [
                 settings.rig.leakage * settings.rig.tolerance.log_spread("leakage")])
         elif leakage is not None and leakage.status == "converged":
-            values = values | {"leakage": leakage.value}
-            covariance = wider(covariance, [leakage.stddev])
+            values = values | {"leakage": leakage.value} | (known := leaks_of(settings))
+            covariance = wider(covariance, [leakage.stddev] + [0.0] * len(known))
         else:
             why["leakage"] = UNSEEN.format(
                 "it compares healthy recordings" if found.references else
