@@ -237,11 +237,12 @@ class Judged:
     def broken(self) -> bool:
         """Whether force or flow is what no numbers come near, and no change explains.
 
+        The machine's leave more than all of the signal, and fitted anew many times the usual.
         Both are made of the same position and pressures: a sign or a unit of one of these was a
         stiffer oil, or a drive with another law.
         """
-        return any(one.alone > BROKEN and not one.changed and one.balance != "drive"
-                   for one in self.balances)
+        return any(one.alone > BROKEN and one.error > 1.0 and not one.changed
+                   and one.balance != "drive" for one in self.balances)
 
     def apart(self) -> "Judged":
         """Return it without the names of balances that these leave open, where another's do not.

@@ -104,11 +104,13 @@ def parameters_of(recording: Recording, settings: Settings) -> dict[str, Paramet
 
 
 def leakage_of(recording: Recording, settings: Settings) -> ParameterEstimate | None:
-    """Return C_T by least squares; None without the channels and volumes of a flow balance.
+    """Return C_T by least squares; None without a flow balance, or of less than ``LEAST_S``.
 
     Areas that are off are off in it by the same share.
     """
     rig = settings.rig
+    if recording.duration < LEAST_S:
+        return None
     try:
         courses = of_one_machine([course_within(recording, settings, BAND)], rig)
     except InputError:
