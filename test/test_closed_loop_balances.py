@@ -96,6 +96,14 @@ def test_a_load_that_differs_is_written_as_the_mean(settings):
     assert mean == pytest.approx(520.0, abs=15.0) and first == pytest.approx(400.0, abs=15.0)
 
 
+def test_a_load_of_the_config_is_written_as_the_recordings_know_it(settings):
+    """Within its tolerance it is no finding, and hundreds of times a filter's noise."""
+    known = settings.model_copy(update={"effects": {"constant_load": {"F_0": 400.0}}})
+    found = answered([loop(seed, load=440.0) for seed in range(3)], known)
+    assert "constant_load" not in [effect.name for effect in found.effects]
+    assert found.config_effects["constant_load"]["F_0"] == pytest.approx(440.0, abs=10.0)
+
+
 @pytest.mark.parametrize(("source", "seed"), [(1.5e5, 20), (9e5, 21), (4e5, 22)])
 def test_another_pressure_of_the_source_is_a_change(healthy, settings, source, seed):
     found = against(healthy, [loop(seed, source=source)], settings, HELD)

@@ -8,6 +8,7 @@ import time
 from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -21,6 +22,7 @@ from std_srvs.srv import Trigger
 from eha_monitor.balances.machine import save
 from eha_monitor.live.diagnosing import Adopted, Answer, effects_in_words, model_of
 from eha_monitor.ros.comparison import Comparison
+from eha_monitor.ros.diagnosis import SelfDiagnosis
 from eha_monitor.ros.messages import findings_of
 from eha_monitor.ros.monitor_node import Monitor
 from eha_monitor.ros.running import actuators
@@ -419,3 +421,19 @@ def test_what_was_adopted_is_there_after_a_restart_and_only_for_the_same_config(
     other, _, _ = start(graph, {"monitor": folder, "rig": {"mass": 25.0}})
     assert not other.settings.effects
     graph.until(lambda: any("left out" in v.value for v in said[-1].status[0].values))
+
+
+@pytest.mark.parametrize(("now", "refuses", "said"), [
+    ((), False, ""), ((("one", 300.0),), False, "does not fit the last seconds"),
+    ((("one", 9000.0),), True, ""), ((("two", 40.0),), True, "")])
+def test_a_model_that_fits_worse_than_the_one_in_force_is_not_adopted(now, refuses, said):
+    def model(stages):
+        return SimpleNamespace(message="off", mismatches=tuple(
+            SimpleNamespace(stage=stage, nis=nis) for stage, nis in stages))
+
+    running = SimpleNamespace(
+        _model=model([("one", 252.0)]), _caution="", _coming=SimpleNamespace(
+            estimator=SimpleNamespace(snapshot=lambda: SimpleNamespace(model=model(now)))))
+    why = SelfDiagnosis._worse(running)
+    assert bool(why) is refuses and ("than with the model in force" in why) is refuses
+    assert (said in running._caution) and bool(running._caution) is bool(said)
