@@ -41,6 +41,13 @@ def test_no_physics_is_a_zero_and_it_is_found_beside_all(effects):
     assert abs(value - 1e-4) < 3.0 * stddev < 3e-5
 
 
+def test_a_gain_that_is_off_is_no_zero():
+    off = settings(rig={"position_gain": 0.95 * settings().rig.position_gain})
+    assert zero_of(recorded(0.0), off) is None
+    value, stddev = zero_of(recorded(3e-4), off)
+    assert abs(value - 3e-4) < 3.0 * stddev < 1e-6
+
+
 def test_a_recording_that_cannot_say_it_stays_as_it_is():
     one = without(recorded(3e-4), "omega")
     assert at_one_zero(one, settings()) == (one, ())

@@ -1,6 +1,6 @@
 """The zero of the recorded position beside that of the drive's controller.
 
-    omega = K_pos (x_d - (x - b)),     b = mean(omega / K_pos - x_d + x)
+    omega = s K_pos (x_d - (x - b)),     s K_pos b the intercept of a line, s near 1
 
 A logger with a sensor of its own, or with the controller's read by another calibration, has
 another zero.  The piston does not mind, but the loop of a model does: of 0.1 mm a gain of
@@ -46,13 +46,19 @@ def zero_of(recording: Recording, settings: Settings) -> tuple[float, float] | N
     followed = np.isfinite(asked + omega) & (np.abs(asked) < WITHIN * top)
     if followed.sum() < FEWEST:
         return None
-    left = np.where(followed, omega - asked, np.nan)
-    size, mean = float(np.std(omega[followed])), float(np.nanmean(left))
-    rest = float(np.nanstd(left))
-    if not (size > 0.0 and rest < LAW * size and abs(mean) > LEAST * size):
+    size, spread = float(np.std(omega[followed])), float(np.std(asked[followed]))
+    if not min(size, spread) > 0.0:
         return None
-    stddev = max(rest * float(np.sqrt(independent(left - mean) / followed.sum())), ROUNDED * size)
-    return (mean / gain, stddev / gain) if abs(mean) > SURE * stddev else None
+    # A gain that is off by a tenth is off by a tenth of the zero, and not of the motion.
+    slope, constant = np.polyfit(asked[followed], omega[followed], 1)
+    left = np.where(followed, omega - slope * asked - constant, np.nan)
+    rest = float(np.nanstd(left))
+    if not (rest < LAW * size and slope > 0.0 and abs(constant) > LEAST * size):
+        return None
+    far = 1.0 + (float(np.mean(asked[followed])) / spread) ** 2
+    stddev = max(rest * float(np.sqrt(far * independent(left) / followed.sum())), ROUNDED * size)
+    return (float(constant / (slope * gain)), float(stddev / (slope * gain))) if (
+        abs(constant) > SURE * stddev) else None
 
 
 def at_one_zero(recording: Recording, settings: Settings
