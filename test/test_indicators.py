@@ -48,6 +48,7 @@ from eha_monitor.physics.parameters import theta_of
 from eha_monitor.physics.signals import N_CONTRIBUTIONS
 from eha_monitor.physics.simulator import Simulator
 from eha_monitor.recordings.recording import Recording
+from eha_monitor.reports.page import FirstScreen, with_limits
 from eha_monitor.settings import Settings, settings_from_tree
 
 ROOT = Path(__file__).parents[1]
@@ -397,3 +398,17 @@ def test_the_monitor_says_which_indicator_is_beyond_its_limit():
     _, one, other = comparison_findings(compared, "2026-12-01", 5)
     assert (one.level, other.level) == ("ERROR", "OK")
     assert one.message == "internal leakage 16.0 ± 1.0 mL/min, beyond its limit of 8 mL/min"
+
+
+@pytest.mark.parametrize(("kind", "head", "leads"), [
+    ("ok", "Healthy", "Alarm"), ("warn", "Mismatch", "Alarm and mismatch"),
+    ("error", "Alarm", "Alarm")])
+def test_a_page_leads_with_what_is_beyond_its_limit(kind, head, leads):
+    settings = settings_with({"leakage_limit": "8 mL/min"})
+    first = FirstScreen(kind, head, "the model fits.")
+    high, low = (Indicator("leakage", value, 1.0, 1.0, "mL/min", AVAILABLE, "", "")
+                 for value in (16.0, 7.0))
+    found = with_limits(first, (high,), settings)
+    assert (found.kind, found.head) == ("error", leads)
+    assert found.message.startswith("internal leakage of 16.0 ± 1.0 mL/min is beyond its limit; ")
+    assert with_limits(first, (low,), settings) == first

@@ -1,5 +1,7 @@
 """A recorder whose zero of the position is not the controller's: found, told, and taken away."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from rig_tools import BETA, MULTISINE, settings, simulated, with_channels, without
@@ -10,6 +12,7 @@ from eha_monitor.api.recording import Recording
 from eha_monitor.estimation.pipeline import estimate as estimated
 from eha_monitor.estimation.zero import at_one_zero, zero_of
 from eha_monitor.live.estimator import LiveEstimator
+from eha_monitor.reports.diagnosis_words import channels_in_parts
 
 SHAPE = {**MULTISINE, "frequency_end": 4.0}
 
@@ -25,7 +28,9 @@ def test_it_is_found_and_the_model_fits(zero):
     right, (said,) = at_one_zero(recorded(zero), settings())
     moved = right.channels["x_d"] - recorded(0.0).channels["x_d"]
     assert np.ptp(moved) < 1e-12 and moved[0] == pytest.approx(zero, abs=1e-7)
-    assert said.channels == ("x", "x_d") and ("more" if zero > 0.0 else "less") in said.finding
+    assert (said.kind, said.channels) == ("zero", ("x", "x_d")) and ("more" if zero > 0.0 else "less") in said.finding
+    parts = channels_in_parts(SimpleNamespace(channels=(said,)))
+    assert parts == ((), (said.finding,))  # it is taken away, and stands against nothing
     found = estimated(right, settings())
     assert found.model.status == "consistent"
     assert found.parameters["beta_e"].value == pytest.approx(BETA, rel=0.03)

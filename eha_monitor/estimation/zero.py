@@ -68,7 +68,7 @@ def at_one_zero(recording: Recording, settings: Settings
     if found is None:
         return recording, ()
     value, stddev = refined(recording, settings, *found)
-    said = ChannelFinding(words_of(value, stddev, settings), "offset", ("x", "x_d"))
+    said = ChannelFinding(words_of(value, stddev, settings), "zero", ("x", "x_d"))
     return moved(recording, value), (said,)
 
 

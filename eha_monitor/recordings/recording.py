@@ -27,7 +27,7 @@ LARGEST = {name: largest for name, (largest, _) in LIMITS.items()}
 CALENDAR_NS = 946_684_800 * 10**9
 SHORTEST_S = 0.5  # from less nothing is estimated, and nothing is explained
 STRETCH = 4096  # rows of each stretch of a sample
-Kind = Literal["swapped", "sign", "unit", "offset", "hold"]
+Kind = Literal["swapped", "sign", "unit", "offset", "hold", "zero"]
 FEW = 3  # samples in a row, or in all, that a channel may spend out there at its end
 SHARE = 0.01  # of a channel's numbers
 

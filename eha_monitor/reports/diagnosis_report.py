@@ -26,6 +26,7 @@ from eha_monitor.reports.page import (
     law_table,
     render,
     table,
+    with_limits,
 )
 from eha_monitor.settings.monitor import Settings
 from eha_monitor.settings.own_terms import is_own
@@ -49,7 +50,8 @@ def diagnosis_page(found: Diagnosis, settings: Settings, losses: Sequence[str] =
     return render(
         "diagnosis.html.j2", plus_minus=words.footnote(found),
         title=f"EHA diagnosis: {name}", name=name,
-        first=_first_screen(found, curves, settings), facts=_facts(found, settings), losses=losses,
+        first=with_limits(_first_screen(found, curves, settings), indicators, settings),
+        facts=_facts(found, settings), losses=losses,
         verdict=found.verdict, references=_healthy(found), compared=words.compared(found),
         indicators=indicator_table(indicators, settings), laws=law_table(indicators),
         changes=_changes(found), pieces=_pieces(found), machine=_machine(found),

@@ -265,8 +265,9 @@ def parameter_words(found: Diagnosis, name: str) -> tuple[str, str]:
 
 
 def channels_in_parts(found: Diagnosis) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Return what stands against the channels, and what is merely known of the drive's hold."""
-    held = [finding for finding in found.channels if finding.kind == "hold" and finding.correction]
+    """Return what stands against the channels, and what is merely known: a hold, or a zero."""
+    held = [finding for finding in found.channels if finding.kind == "zero" or (
+        finding.kind == "hold" and finding.correction)]
     return (tuple(one.finding for one in found.channels if one not in held),
             tuple(one.finding for one in held))
 

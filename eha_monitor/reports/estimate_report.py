@@ -27,6 +27,7 @@ from eha_monitor.reports.page import (
     law_table,
     render,
     table,
+    with_limits,
 )
 from eha_monitor.settings.channels import CHANNEL_UNITS
 from eha_monitor.words import listed
@@ -184,7 +185,8 @@ def estimate_page(estimate: Estimate, alarms: tuple[Alarm, ...], history: tuple[
     name = Path(recording.source).name or settings.rig.name
     return render(
         "estimate.html.j2", title=f"EHA monitor: {name}", name=name, facts=heading(estimate),
-        first=_first_screen(estimate, alarms), model=estimate.model,
+        first=with_limits(_first_screen(estimate, alarms), indicators, settings),
+        model=estimate.model,
         indicators=indicator_table(indicators, settings), laws=law_table(indicators),
         warnings=(*estimate.warnings, *recording.losses),
         motion=figures.motion_blocks(estimate),

@@ -3,7 +3,7 @@
 import math
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from importlib import resources
 from typing import Any
@@ -26,7 +26,7 @@ from eha_monitor.reports.still_image import image_uri
 from eha_monitor.reports.traces import LARGEST
 from eha_monitor.settings.monitor import Settings
 from eha_monitor.units import keys_of
-from eha_monitor.words import effect_words
+from eha_monitor.words import effect_words, listed
 
 _HEADING = re.compile(r"<h2(?: id=\"([^\"]*)\")?>(.*?)</h2>", re.DOTALL)
 _MOST_OPEN = 6  # rows of a long table that are shown without a click
@@ -177,6 +177,18 @@ def for_script(text: str) -> Markup:
 
 _SECTIONS = ("rig", "noise", "stage_one", "stage_two", "thresholds", "viscosity", "health")
 _GENERAL = ("discretisation", "command_hold")
+
+
+def with_limits(first: FirstScreen, indicators: Sequence[Indicator], settings: Settings
+                ) -> FirstScreen:
+    """Return a first screen that leads with the indicators beyond their limits, if any are."""
+    beyond = [f"{one.words} of {one.shown} is beyond its limit" for one in indicators
+              if indicator.passed(one, settings) and not one.doubtful]
+    if not beyond:
+        return first
+    head = first.head if first.head.startswith("Alarm") else "Alarm" if first.kind in (
+        "ok", "unknown") else f"Alarm and {first.head[:1].lower()}{first.head[1:]}"
+    return replace(first, kind="error", head=head, message=f"{listed(beyond)}; {first.message}")
 
 
 def indicator_table(indicators: Sequence[Indicator], settings: Settings) -> Table | None:
