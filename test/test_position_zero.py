@@ -28,7 +28,8 @@ def test_it_is_found_and_the_model_fits(zero):
     right, (said,) = at_one_zero(recorded(zero), settings())
     moved = right.channels["x_d"] - recorded(0.0).channels["x_d"]
     assert np.ptp(moved) < 1e-12 and moved[0] == pytest.approx(zero, abs=1e-7)
-    assert (said.kind, said.channels) == ("zero", ("x", "x_d")) and ("more" if zero > 0.0 else "less") in said.finding
+    assert (said.kind, said.channels) == ("zero", ("x", "x_d"))
+    assert ("more" if zero > 0.0 else "less") in said.finding
     parts = channels_in_parts(SimpleNamespace(channels=(said,)))
     assert parts == ((), (said.finding,))  # it is taken away, and stands against nothing
     found = estimated(right, settings())
