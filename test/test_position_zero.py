@@ -1,5 +1,6 @@
 """A recorder whose zero of the position is not the controller's: found, told, and taken away."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -8,11 +9,15 @@ from rig_tools import BETA, MULTISINE, settings, simulated, with_channels, witho
 
 from eha_monitor.api.config import Config
 from eha_monitor.api.estimate import estimate
+from eha_monitor.api.read import checked
 from eha_monitor.api.recording import Recording
 from eha_monitor.estimation.pipeline import estimate as estimated
 from eha_monitor.estimation.zero import at_one_zero, zero_of
+from eha_monitor.identify.experiment import SimulatedRig, bounds_of, identify
+from eha_monitor.identify.plan import Planner
 from eha_monitor.live.estimator import LiveEstimator
 from eha_monitor.reports.diagnosis_words import channels_in_parts
+from eha_monitor.settings.load import load_settings
 
 SHAPE = {**MULTISINE, "frequency_end": 4.0}
 
@@ -75,3 +80,22 @@ def test_the_monitor_finds_it_on_its_way():
     assert any("more than the drive's controller" in event.message for event in found.events)
     assert found.model.status == "consistent"
     assert found.parameters["beta_e"].value == pytest.approx(BETA, rel=0.03)
+
+
+def test_an_experiment_on_a_rig_of_another_zero_decides_as_on_one_of_its_own():
+    given = load_settings("config/identify.yaml")
+    bounds = bounds_of(given, "config")
+
+    class Recorded(SimulatedRig):
+        def run(self, x_d, name):
+            ran = super().run(x_d, name)
+            return replace(ran, recording=with_channels(
+                ran.recording, x=ran.recording.channels["x"] + 1e-4))
+
+    def usable(recording):
+        (mended,), said = checked([recording], given)
+        return mended, said
+
+    *_, last = identify(Recorded(given, bounds, 1), Planner(given, bounds, "config"), usable)
+    assert (last.diagnosis.verdict, last.end) == ("consistent", "decided")
+    assert [one.kind for one in last.diagnosis.channels].count("zero") == 1

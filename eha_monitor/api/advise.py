@@ -10,7 +10,6 @@ from eha_monitor.api.common import READING, Progress, Record, calling, chosen, f
 from eha_monitor.api.config import Config
 from eha_monitor.api.read import (
     Several,
-    at_one_zero,
     checked,
     config_for,
     distinct,
@@ -83,9 +82,7 @@ def advise(recordings: Several, config: Config | str | os.PathLike | dict | None
         say("reading", 0.0)
         load_runtime()
         read = recordings_of(given, config, "recordings")
-        channels = checked(read, config.settings)
-        read, moved = at_one_zero(read, config.settings)
-        channels += moved
+        read, channels = checked(read, config.settings)
         with rig_motion(config.rig.motion):
             named, found = run(read, config.settings, bool(check), lambda text, share: say(
                 text, READING + (1 - READING) * share))

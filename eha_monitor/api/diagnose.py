@@ -4,6 +4,7 @@ import math
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
+from itertools import islice
 from pathlib import Path
 from textwrap import wrap
 from typing import TYPE_CHECKING, Any
@@ -15,7 +16,6 @@ from eha_monitor.api.read import (
     Given,
     ImplausibleError,
     Several,
-    at_one_zero,
     checked,
     config_for,
     distinct,
@@ -146,10 +146,10 @@ def diagnose(recordings: Several, config: Config | str | os.PathLike | dict | No
         read, kept, references = (recordings_of(part, config, "recordings") if part else []
                                   for part in (given, unseen, healthy))
         say("checking that recording and config match", READING)
-        channels = checked([*read, *kept, *references], config.settings)
-        for part in (read, kept, references):
-            part[:], said = at_one_zero(part, config.settings)
-            channels += said
+        usable, channels = checked([*read, *kept, *references], config.settings)
+        usable = iter(usable)
+        read, kept, references = (list(islice(usable, len(part)))
+                                  for part in (read, kept, references))
 
         def further(text: str, share: float) -> None:
             say(text, READING + (1 - READING) * share)

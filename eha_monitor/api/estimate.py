@@ -15,7 +15,6 @@ from eha_monitor.api.config import Config, path_of
 from eha_monitor.api.read import (
     Given,
     ImplausibleError,
-    at_one_zero,
     checked,
     config_for,
     recordings_of,
@@ -85,12 +84,11 @@ def estimate(recording: Given, config: Config | str | os.PathLike | dict | None 
         if others:
             raise InputError(f"recording: expected one, got {1 + len(others)}: "
                              "[em.estimate(one) for one in ...]")
-        channels = checked([recorded], config.settings)
+        (recorded,), channels = checked([recorded], config.settings)
         refuse_short(recorded)  # a clock that runs wrong has been reported before
         say("estimating", 0.2)
-        (recorded,), moved = at_one_zero([recorded], config.settings)
         found = run(recorded, config.settings)
-        channels = (*channels, *moved, *found.channels)
+        channels = (*channels, *found.channels)
         alarms, history = judged(found)
         made = Estimate(**vars(found) | {
             "recording": Recording.of(recorded, config), "channels": channels,

@@ -55,10 +55,24 @@ class ImplausibleError(InputError):
         return type(self)(self.reason, self.channels, self.corrected, way, self.recordings)
 
 
-def checked(recordings: Sequence[Inner], settings: Settings) -> tuple[ChannelFinding, ...]:
+def checked(recordings: Sequence[Inner], settings: Settings
+            ) -> tuple[list[Inner], tuple[ChannelFinding, ...]]:
+    """Return recordings fit for use, and what their channels say about the config.
+
+    A setpoint is moved to the zero of its position (:mod:`estimation.zero`).  Raises
+    ImplausibleError if no answer would be meaningful (exit status 2).
+    """
+    findings = contradictions(recordings, settings)
+    placed = [zero.at_one_zero(one, settings) for one in recordings]
+    return [one for one, _ in placed], (
+        *findings, *(finding for _, said in placed for finding in said))
+
+
+def contradictions(recordings: Sequence[Inner], settings: Settings
+                   ) -> tuple[ChannelFinding, ...]:
     """Return what each recording's channels say about the config, where an answer is possible.
 
-    Raises ImplausibleError if no answer would be meaningful (exit status 2).
+    Raises ImplausibleError if no answer would be meaningful.
     """
     found: dict[str, ChannelFinding] = {}
     blocking: list[str] = []
@@ -76,13 +90,6 @@ def checked(recordings: Sequence[Inner], settings: Settings) -> tuple[ChannelFin
     if any(finding.correction for finding in findings):
         mended = Config.of(corrected(settings, findings))
     raise ImplausibleError("; ".join(blocking), findings, mended, recordings=recordings)
-
-
-def at_one_zero(recordings: Sequence[Inner], settings: Settings
-                ) -> tuple[list[Inner], tuple[ChannelFinding, ...]]:
-    """Return recordings with their setpoints at the zero of their positions, and what says so."""
-    found = [zero.at_one_zero(one, settings) for one in recordings]
-    return [one for one, _ in found], tuple(finding for _, said in found for finding in said)
 
 
 def corrected_config(findings: Sequence[ChannelFinding], settings: Settings,

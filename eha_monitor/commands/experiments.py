@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from eha_monitor.identify.experiment import Rig, Round
     from eha_monitor.identify.plan import Planner
     from eha_monitor.mismatch.diagnosis import Diagnosis
+    from eha_monitor.recordings.recording import ChannelFinding, Recording
     from eha_monitor.settings import Settings
 
 MOST_MOTIONS = 99
@@ -85,6 +86,10 @@ def identify(ros_args: list[str], config: Path | None, simulated: Path | None, o
 
     rounds: list[Round] = []
 
+    def usable(recording: "Recording") -> "tuple[Recording, tuple[ChannelFinding, ...]]":
+        (recording,), said = checked([recording], given.settings)
+        return recording, said
+
     def experiment(rig: "Rig") -> str:
         with rig_motion(given.settings.rig.motion):  # of this thread
             with common.progress_bar() as told:
@@ -93,8 +98,7 @@ def identify(ros_args: list[str], config: Path | None, simulated: Path | None, o
                     if text.startswith("motion") and not sys.stderr.isatty():
                         click.echo(text)  # where no bar shows that it is at work
 
-                for one in rounds_of(rig, planner, lambda recording: checked(
-                        [recording], given.settings), say):
+                for one in rounds_of(rig, planner, usable, say):
                     rounds.append(one)
                     written(one, len(rounds), out, given.settings, overwrite)
                     answered(rounds, planner, out, command, targets, config)

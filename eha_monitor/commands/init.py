@@ -160,15 +160,15 @@ def _first_estimate(draft, out: Path) -> None:
                    f"expected at least {SHORTEST_S:g} s; is the unit of the time right?")
         return
     from eha_monitor.api.estimate import judged
-    from eha_monitor.api.read import at_one_zero
     from eha_monitor.commands.table import show
     from eha_monitor.compiled import load_runtime
     from eha_monitor.estimation.pipeline import estimate
+    from eha_monitor.estimation.zero import at_one_zero
 
     load_runtime()
     try:
         with working("estimating"):
-            (recording,), _ = at_one_zero([draft.recording], draft.settings)
+            recording, _ = at_one_zero(draft.recording, draft.settings)
             found = estimate(recording, draft.settings)
             alarms, _ = judged(found)
     except InputError as problem:

@@ -83,7 +83,7 @@ def _healthy(bags, settings):
     import numpy as np
 
     from eha_monitor.api.estimate import judged_series, refuse_short
-    from eha_monitor.api.read import at_one_zero, checked
+    from eha_monitor.api.read import checked
     from eha_monitor.compiled import load_runtime
     from eha_monitor.estimation.inputs import time_of
     from eha_monitor.estimation.pipeline import estimate
@@ -97,9 +97,8 @@ def _healthy(bags, settings):
     for bag in bags:
         with common.working(f"estimating {bag}"):
             recording = read_recording(bag, settings)
-            checked([recording], settings)
+            (recording,), _ = checked([recording], settings)
             refuse_short(recording)
-            (recording,), _ = at_one_zero([recording], settings)
             answer = estimate(recording, settings)
         seconds.append(recording.duration)
         warmth = recording.get("temperature") if recording.has("temperature") else None

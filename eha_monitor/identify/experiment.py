@@ -35,7 +35,7 @@ from eha_monitor.physics.parameters import place_of
 from eha_monitor.physics.simulator import Simulator
 from eha_monitor.progress import Report, silent
 from eha_monitor.quantity import number, quantity
-from eha_monitor.recordings.recording import Recording
+from eha_monitor.recordings.recording import ChannelFinding, Recording
 from eha_monitor.settings.monitor import Experiment as Bounds
 from eha_monitor.settings.monitor import Settings
 from eha_monitor.words import effect_words, listed, odds
@@ -156,6 +156,8 @@ def lasting(values: np.ndarray, most: float, what: str, unit: str, limit: float,
 TURN = 0.02  # s that are simulated between two looks at the limits
 HELD = 0.5  # s that are still recorded after an abort
 START_NS = 1_000_000_000
+# A recording as it is to be used, and what its channels say about the config.
+Checked = tuple[Recording, Sequence[ChannelFinding]]
 
 
 @dataclass(frozen=True)
@@ -324,7 +326,7 @@ class Round:
 
 
 def identify(rig: Rig, planner: Planner,
-             check: Callable[[Recording], object] = lambda recording: None,
+             check: Callable[[Recording], Checked] = lambda recording: (recording, ()),
              report: Report | None = None) -> Iterator[Round]:
     """Run motions until a set of effects has the probability asked for, or none can get it.
 
@@ -334,7 +336,8 @@ def identify(rig: Rig, planner: Planner,
     Parameters
     ----------
     rig : what moves; ``planner`` knows config, limits and the probability asked for.
-    check : of each recording before it is diagnosed; raises what is wrong with it.
+    check : of each recording before it is diagnosed; returns it as it is to be used, and what
+        its channels say about the config; raises what is wrong with it.
     report : told what is done and how far it is, 0 to 1.
     """
     say = report or silent
@@ -343,6 +346,7 @@ def identify(rig: Rig, planner: Planner,
     recordings: list[Recording] = []
     known: list[Fit] = []
     motions: list[Planned] = []
+    channels: dict[tuple[str, tuple[str, ...]], ChannelFinding] = {}
     seconds, before = 0.0, None
     while planned is not None:
         number = len(motions) + 1
@@ -352,10 +356,13 @@ def identify(rig: Rig, planner: Planner,
         if ran.aborted:
             yield Round(planned, ran, seconds, end=ABORTED)
             return
-        check(ran.recording)
-        recordings.append(ran.recording)
+        usable, said = check(ran.recording)
+        recordings.append(usable)
+        channels |= {(one.kind, one.channels): one for one in said}
         motions.append(planned)
         answer = diagnose_and_name(recordings, planner.settings, say, known)
+        answer = answer._replace(diagnosis=replace(
+            answer.diagnosis, channels=(*channels.values(), *answer.diagnosis.channels)))
         # A rest alone may show nothing, and so may a motion that is too quick.
         if answer.diagnosis.verdict == "insufficient_data" and not follows(
                 planned.x_d, ran.recording):
