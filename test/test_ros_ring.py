@@ -271,6 +271,29 @@ def test_a_change_from_the_healthy_machine_is_told_with_its_time(graph, tmp_path
     assert len(kept) == 2  # that of the change, and its report; what had not changed is gone
 
 
+@pytest.mark.slow
+@pytest.mark.timeout(300)
+def test_what_the_healthy_machine_explains_is_not_diagnosed_besides(graph, tmp_path, machine):
+    ring = Ring(graph, tmp_path, after=6.0)
+    with command("monitor", "--config", ring.config, "--machine", machine) as monitor:
+        ring.became("data", "STALE")
+        ring.start()
+        ring.became("machine", "OK")
+        ring.fault((ring.simulator._simulator.time + 0.2, FRICTION))
+        ring.became("model_mismatch", "WARN")
+        ring.became("machine", "WARN")
+        assert "changed coulomb_friction F_c" in ring.found
+        ring.until(lambda: "comparison (with the healthy machine)" in ring.said("model_mismatch"))
+        assert ring.value("model_mismatch", "diagnosed") == "mismatch"
+        later = ring.simulator.samples + 10_000  # well beyond when a diagnosis would have begun
+        ring.until(lambda: ring.simulator.samples > later)
+        assert not [one for one in ring.log if "diagnosis begun" in one[3]]
+        answer = ring.caller.trigger("/eha/monitor/diagnose")
+        assert answer.success and "Coulomb friction of" in answer.message, answer.message
+        ring.until(lambda: "its diagnosis" in ring.said("model_mismatch"))
+        end(monitor)
+
+
 def test_a_machine_of_another_rig_is_refused(machine, tmp_path, capfd):
     config = tmp_path / "config.yaml"
     config.write_text("rig: {name: press}")

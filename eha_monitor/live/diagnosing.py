@@ -23,7 +23,7 @@ import numpy as np
 
 from eha_monitor.errors import InputError
 from eha_monitor.estimation.results import STAGES, LiveSnapshot
-from eha_monitor.health.alarms import WATCHED
+from eha_monitor.health.alarms import ADVICE, WATCHED
 from eha_monitor.health.judge import DIAGNOSIS, INDICATOR, MACHINE, MODEL_IN_FORCE, Finding
 from eha_monitor.live.estimator import LiveEstimator
 from eha_monitor.live.ingest import Columns
@@ -314,6 +314,22 @@ class Diagnosing:
         last = said.splitlines()[-1] if said else f"exit status {status}"
         return f"failed: {last.removeprefix('eha_monitor: ')}"
 
+
+@dataclass(frozen=True)
+class Cause:
+    """What is known of why the model does not fit: a verdict, or "", and what to say of it."""
+
+    verdict: str = ""
+    words: str = ADVICE
+
+    @classmethod
+    def of(cls, kind: str, answer: Answer) -> "Cause":
+        """Return what an answer says, its ``kind`` being that of what gave it."""
+        rows = f" of the rows until {answer.until}" if answer.until else ""
+        return cls(answer.verdict, f"{kind}{rows}: {answer.words}")
+
+
+UNKNOWN = Cause()
 
 EFFECT = "effect "
 _LEVELS = {"consistent": "OK", "mismatch": "WARN", "unexplained": "WARN"}

@@ -68,6 +68,11 @@ class Comparison:
     def reset(self) -> None:
         """Count time anew."""
         self._due: tuple[float, int, str] | None = None  # since when: s of the rows, ns of the log
+        # since the model began or ceased to fit: the last answer, and "" or a verdict
+        self.answer: Answer | None = None
+        self.verdict = ""
+        self._fits_now: bool | None = None
+        self._fitted: bool | None = None  # when the rows that are compared were saved
         self._again = False
         self._last_s = -EVERY_S
         self._fits: bool | None = None
@@ -76,9 +81,14 @@ class Comparison:
     def note(self, model: ModelStatus, parameters: Mapping[str, ParameterEstimate], now_s: float
              ) -> None:
         """Look whether something has moved since the comparison before."""
-        if model.status not in ("consistent", "mismatch") or self._due is not None:
+        if model.status not in ("consistent", "mismatch"):
             return
-        fits, known = not model.mismatches, {
+        fits = not model.mismatches
+        if fits != self._fits_now:
+            self._fits_now, self.answer, self.verdict = fits, None, ""
+        if self._due is not None:
+            return
+        known = {
             name: (one.value, one.stddev) for name, one in model.best(parameters).items()
             if one.status == "converged" and not model.in_doubt(name)}
         moved = [name for name, now in known.items()
@@ -113,6 +123,7 @@ class Comparison:
         if self._due is not None and now_s - self._due[0] >= enough:
             COMPARING.take(self)
             self.saving, self._last_s, self._compared = True, now_s, self._due
+            self._fitted = self._fits_now
             latest = self._log_ns(now_s - max(LATEST_S, enough))
             begins = self._due[1] + (round(1e9 * MOVES_S) if self._again else 0)
             self._begins = max(begins, latest, self._unfit_ns)
@@ -145,6 +156,8 @@ class Comparison:
             forget(answer)
             return False
         self._due, self._again = None, False
+        if self._fitted == self._fits_now and answer.verdict != "insufficient_data":
+            self.verdict, self.answer = answer.verdict, None if answer.problem else answer
         if answer.problem:
             if self.findings[0].level == "STALE":  # what was found before stands
                 self.findings = comparison_findings(None, "", self._healthy, answer.problem)

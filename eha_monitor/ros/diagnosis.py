@@ -19,9 +19,11 @@ from eha_monitor.estimation.results import LiveSnapshot, ModelStatus, ParameterE
 from eha_monitor.health.judge import Finding
 from eha_monitor.live.diagnosing import (
     TURN,
+    UNKNOWN,
     Adopted,
     Answer,
     Candidate,
+    Cause,
     Diagnosing,
     adopted_before,
     answer_findings,
@@ -112,7 +114,7 @@ class SelfDiagnosis:
         self._tries, self._explained = 0, False
         self._ended_s = -np.inf  # when the last diagnosis of it ended
         # what the last diagnosis says of the mismatch that stands; None before one
-        self.of_mismatch: Answer | None = None
+        self._of_mismatch: Answer | None = None
         self._same: list[Path] = []  # bags of this mismatch, of one state as far as is known
         self._saved_ns: int | None = None  # where the last of them ends
 
@@ -130,6 +132,17 @@ class SelfDiagnosis:
             return []
         first, *rest = self._comparison.findings
         return [first, *(one for one in rest if one.level == "ERROR")]
+
+    @property
+    def cause(self) -> Cause:
+        """What is known of why the model does not fit."""
+        if self._of_mismatch is not None:
+            return Cause.of("its diagnosis", self._of_mismatch)
+        if TURN.holder is self:
+            return Cause(words=self._state())
+        compared = None if self._comparison is None else self._comparison.answer
+        return UNKNOWN if compared is None else Cause.of(
+            "its comparison (with the healthy machine)", compared)
 
     def leave_out(self) -> None:
         """Diagnose and compare none of the rows so far: their channels contradict the config."""
@@ -164,12 +177,22 @@ class SelfDiagnosis:
             self._since_s = min(one.since_s for one in model.mismatches)
         wanted = self._settings.diagnosis
         wait = min(wanted.after * 2**self._tries, LONGEST_S)
-        if (wanted.start == AUTOMATIC and now_s - max(self._since_s, self._ended_s) >= wait
+        if (wanted.start == AUTOMATIC and not self._left_to_machine
+                and now_s - max(self._since_s, self._ended_s) >= wait
                 and not self._explained and self._keeper.ring is not None):
             if not self._busy:
                 self._begin(AUTOMATIC)
             elif self._elsewhere:
                 self._wait(AUTOMATIC)
+
+    @property
+    def _left_to_machine(self) -> bool:
+        """Whether the comparison with the healthy machine says why the model does not fit, or may.
+
+        It knows the machine, and takes seconds; only what is adopted needs a diagnosis as well.
+        """
+        return (self._comparison is not None and self._settings.diagnosis.adopt == SERVICE
+                and self._comparison.verdict in ("", "consistent", "mismatch"))
 
     def push(self, times: np.ndarray, columns: Columns) -> None:
         """Take the rows that the running estimator takes."""
@@ -327,8 +350,8 @@ class SelfDiagnosis:
             self._tell(answer.problem, "WARN")
         else:
             self._answer = answer
-            self.of_mismatch = None if self._since_s is None else answer
-            self._explained = self.of_mismatch is not None and self._adoptable() is None
+            self._of_mismatch = None if self._since_s is None else answer
+            self._explained = self._of_mismatch is not None and self._adoptable() is None
             if answer.completed is None:
                 # They may hold the change itself, or are the machine before it; what comes after
                 # is diagnosed by itself.

@@ -6,10 +6,10 @@ from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 from eha_monitor.estimation.results import Consistency, Event, ModelStatus, ParameterEstimate
-from eha_monitor.health.alarms import ADVICE, WATCHED, AlarmBoard
+from eha_monitor.health.alarms import WATCHED, AlarmBoard
 from eha_monitor.health.judge import MISMATCH, Finding
 from eha_monitor.health.overload import Overload
-from eha_monitor.live.diagnosing import Answer
+from eha_monitor.live.diagnosing import UNKNOWN, Cause
 from eha_monitor.ros.messages import ESTIMATE_LEVELS
 from eha_monitor.ros.subscriptions import TopicInput
 from eha_monitor.settings.monitor import Settings
@@ -43,7 +43,7 @@ class DataState:
 def all_findings(settings: Settings, board: AlarmBoard,
                  parameters: dict[str, ParameterEstimate],
                  consistency: dict[str, Consistency | None], model: ModelStatus,
-                 events: dict[str, Event], data: DataState, diagnosed: Answer | None = None
+                 events: dict[str, Event], data: DataState, cause: Cause = UNKNOWN
                  ) -> Iterator[Finding]:
     """Yield the alarms, the two stages, the model, its mismatch and the data, in this order.
 
@@ -51,7 +51,7 @@ def all_findings(settings: Settings, board: AlarmBoard,
     ----------
     parameters, consistency : by symbol and by stage; empty before the first row.
     events : the last event of each stage, ``one`` and ``two``, and of the ``monitor``.
-    diagnosed : what the monitor's own diagnosis says of the mismatch that stands, if it has one.
+    cause : what is known of why the model does not fit.
     """
     for alarm in board.alarms:
         watched = next(w for w in WATCHED if alarm.name.startswith(w.section))
@@ -72,7 +72,7 @@ def all_findings(settings: Settings, board: AlarmBoard,
     level = "STALE" if data.stopped else _MODEL_LEVEL.get(model.status, "STALE")
     yield Finding("model", level, data.stopped or model.message or model.status,
                   {"status": model.status})
-    yield _mismatch(model, consistency, data, diagnosed)
+    yield _mismatch(model, consistency, data, cause)
     wrong = data.problems or data.unsaved or data.implausible
     level = ("STALE" if data.stopped else "ERROR" if data.refused else "WARN" if wrong else "OK")
     if data.overload is not None and not data.refused:  # why data may seem to have stopped
@@ -116,7 +116,7 @@ def _doubts(model: ModelStatus, symbol: str) -> dict[str, float | int | str]:
 
 
 def _mismatch(model: ModelStatus, consistency: dict[str, Consistency | None],
-              data: DataState, diagnosed: Answer | None) -> Finding:
+              data: DataState, cause: Cause) -> Finding:
     """Return the test of the model as a finding of its own; plain numbers, for plotting.
 
     A filter sees more than the sensors' noise on any real machine: that the balances are
@@ -146,13 +146,11 @@ def _mismatch(model: ModelStatus, consistency: dict[str, Consistency | None],
                "since_s": float(first.since_s)}
     doubted = [w.words for w in WATCHED if values[f"{w.section}_tainted"]]
     in_doubt = f"; in doubt: {' and '.join(doubted)}" if doubted else ""
-    why, what = f": {model.message}", ADVICE
-    if diagnosed is not None:  # which says why
-        values["diagnosed"] = diagnosed.verdict
-        of = f" of the rows until {diagnosed.until}" if diagnosed.until else ""
-        why, what = "", f"its diagnosis{of}: {diagnosed.words}"
+    why = f": {model.message}"
+    if cause.verdict:  # which says why
+        why, values["diagnosed"] = "", cause.verdict
     return Finding(MISMATCH, "WARN", f"the model does not fit since t = {first.since_s:.1f} s"
-                   f"{why}{in_doubt}; {what}", values)
+                   f"{why}{in_doubt}; {cause.words}", values)
 
 
 def _last(event: Event | None) -> dict[str, float | str]:

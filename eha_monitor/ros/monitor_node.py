@@ -430,7 +430,7 @@ class Monitor:
         found = all_findings(self.settings, self.board, parameters,
                              snapshot.consistency if snapshot else {},
                              self._model, self._events, self.data,
-                             self.diagnosis.of_mismatch)
+                             self.diagnosis.cause)
         self._outputs.health([*with_bags(found, self.keeper.bags), *self.diagnosis.of_machine])
 
     def summary(self) -> str:

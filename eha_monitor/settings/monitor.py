@@ -261,7 +261,8 @@ class Diagnosis(Section):
     """How the monitor diagnoses itself, and what it may adopt (docs/live.md)."""
 
     start: Literal["automatic", "service"] = Field(
-        "automatic", description="automatic: diagnose once model_mismatch has stood for after; "
+        "automatic", description="automatic: diagnose once model_mismatch has stood for after, "
+                                 "with a machine only what the comparison does not explain; "
                                  "service: only on the service monitor/diagnose")
     after: Si("s", "time that a mismatch must stand; the recording that is diagnosed begins with "
                    "it. While nothing explains it, again after twice that time, and so on",
