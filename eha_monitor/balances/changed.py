@@ -25,6 +25,7 @@ from eha_monitor.balances.scatter import limit_of
 from eha_monitor.balances.sensor_error import without_sensor_error
 from eha_monitor.balances.warmth import at_oil, viscosity_of
 from eha_monitor.errors import InputError
+from eha_monitor.indicators.laws import LEAKS
 from eha_monitor.mismatch.diagnosis import (
     Change,
     Curve,
@@ -42,7 +43,7 @@ from eha_monitor.settings.rig import Rig
 from eha_monitor.words import listed
 
 # What the make-up path's flow from another source may be taken for.
-FED = ("external_leakage", "turbulent_leakage", "leakage_offset", "cross_port_leakage")
+FED = ("external_leakage", *LEAKS)
 
 
 def against(machine: Machine, recordings: Sequence[Recording], settings: Settings,

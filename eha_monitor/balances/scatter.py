@@ -24,8 +24,7 @@ from eha_monitor.balances.policy import Policy
 from eha_monitor.balances.table import Table
 from eha_monitor.balances.together import without
 
-NOTHING: Mapping[str, float] = {}
-SURE: Mapping[str, np.ndarray] = {}
+NOTHING: Mapping = {}
 ANSWERS = 0.01  # of the usual power: a recording that answers less says nothing of a term
 
 
@@ -85,7 +84,7 @@ class Amplitudes:
 
 def amplitudes_of(table: Table, weights: dict[str, float], settings: Sequence[str],
                   terms: Sequence[str], oil: Mapping[str, float] = NOTHING,
-                  errors: Mapping[str, np.ndarray] = SURE) -> Amplitudes:
+                  errors: Mapping[str, np.ndarray] = NOTHING) -> Amplitudes:
     """Return the amplitudes of ``terms`` beside a machine's parameters (name -> value).
 
     Parameters
@@ -188,7 +187,7 @@ class Scatter:
 
 def scatter_of(tables: Sequence[Table], weights: dict[str, float], settings: Sequence[str],
                allowed: Sequence[str], policy: Policy, oil: Mapping[str, float] = NOTHING,
-               typical: bool = False, errors: Mapping[str, np.ndarray] = SURE) -> Scatter:
+               typical: bool = False, errors: Mapping[str, np.ndarray] = NOTHING) -> Scatter:
     """Return how the amplitudes of terms vary over recordings.
 
     Parameters

@@ -86,7 +86,7 @@ class Indicator:
                 "unit": self.unit, "status": self.status, "message": self.message,
                 "law": self.law, "missing": list(self.missing),
                 "below": self.below if math.isfinite(self.below) else None,
-                "limit": limit, "beyond_limit": passed(self, settings) and not self.doubtful}
+                "limit": limit, "beyond_limit": passed(self, settings)}
 
 
 def propagated(function: Callable[[Mapping[str, float]], float], values: Mapping[str, float],
@@ -133,9 +133,12 @@ def limits_of_indicator(name: str, settings: Settings) -> tuple[float | None, fl
 
 
 def passed(one: Indicator, settings: Settings) -> bool:
-    """Tell whether a value lies beyond its limit by ``thresholds.confidence`` of its stddev."""
+    """Tell whether a value lies beyond its limit by ``thresholds.confidence`` of its stddev.
+
+    One in doubt does not.
+    """
     low, high = limits_of_indicator(one.name, settings)
     margin = settings.thresholds.confidence * one.stddev
-    return one.status == AVAILABLE and (
+    return one.status == AVAILABLE and not one.doubtful and (
         (low is not None and one.value < low - margin)
         or (high is not None and one.value > high + margin))

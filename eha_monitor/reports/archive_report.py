@@ -325,9 +325,9 @@ def summary_words(rows: Sequence[dict], command: str) -> str:
     words = [", ".join(parts) or nothing]
     if copies := len(answered) - len(first_of_copies(answered)):
         words.append(f"{copies} of the same moment as another count once")
-    misfits = sum(row.get("model") == "mismatch" for row in answered)
-    if misfits and command == "estimate":  # of a diagnosis its verdict says it
-        words.append(f"in {misfits} the model does not fit")
+    unfit = sum(row.get("model") == "mismatch" for row in answered)
+    if unfit and command == "estimate":  # of a diagnosis its verdict says it
+        words.append(f"in {unfit} the model does not fit")
     if command == "diagnose":
         verdicts = Counter(row.get("verdict") for row in answered)
         words.append("verdicts: " + (", ".join(

@@ -183,7 +183,7 @@ def with_limits(first: FirstScreen, indicators: Sequence[Indicator], settings: S
                 ) -> FirstScreen:
     """Return a first screen that leads with the indicators beyond their limits, if any are."""
     beyond = [f"{one.words} of {one.shown} is beyond its limit" for one in indicators
-              if indicator.passed(one, settings) and not one.doubtful]
+              if indicator.passed(one, settings)]
     if not beyond:
         return first
     head = first.head if first.head.startswith("Alarm") else "Alarm" if first.kind in (
