@@ -41,7 +41,7 @@ from eha_monitor.settings.hypothesis import Hypothesis, hypothesis_of, load_hypo
 from eha_monitor.settings.load import annotated, settings_from_tree
 from eha_monitor.settings.monitor import Settings
 from eha_monitor.settings.own_terms import is_own
-from eha_monitor.settings.rig import corrected, rounded
+from eha_monitor.settings.rig import Rig, corrected, rounded
 from eha_monitor.units import LARGEST
 from eha_monitor.words import effect_words, listed, probability
 
@@ -495,11 +495,12 @@ def _learned(term: LearnedTerm) -> dict:
 def completed(found: Found, settings: Settings) -> tuple[Settings, list[str], list[str]]:
     """Return the given config completed with what was found.
 
-    ``effects`` is what the diagnosis says, and numbers of the rig that it contradicts, or knows
-    better, become the found ones.  B and beta_e of the rig become the fitted ones: ``simulator``
-    then makes what was recorded, and the filters start where the rig is.  Nothing else is
-    changed, thresholds and priors included: whether the rig is healthy is not for a fit to say.
-    Where neither names nor a learned term explain the mismatch, the config stays as it was.
+    ``effects`` is what the diagnosis says.  Numbers of the rig, B and beta_e become the fitted
+    ones, those within their tolerance too: with a pump that is 1.8 % off, and known to 3 %, stage
+    two is off by 500 times the noise.  ``simulator`` then makes what was recorded, and the filters
+    start where the rig is.  Nothing else is changed, thresholds and priors included: whether the
+    rig is healthy is not for a fit to say.  Where neither names nor a learned term explain the
+    mismatch, the config stays as it was.
 
     Returns
     -------
@@ -511,7 +512,7 @@ def completed(found: Found, settings: Settings) -> tuple[Settings, list[str], li
     if found.command_hold != settings.command_hold:
         tree["command_hold"] = found.command_hold
         changed.append(f"command_hold: {found.command_hold}")
-    if found.verdict == "mismatch" or found.learned:
+    if found.verdict in ("consistent", "mismatch") or found.learned:
         changed += _corrected_numbers(found, settings, tree["rig"], missing)
         changed += _named_physics(found, tree, missing)
         known = [*filter(None, settings.rig.identified.split(", ")),
@@ -540,6 +541,9 @@ def written_config(found: Found, settings: Settings, source: Path | None) -> str
     return annotated(made, "\n".join(lines))
 
 
+SAME = 1e-4  # of a number: by less it is the config's
+
+
 def _indented(points: list[str]) -> list[str]:
     """Return points of a list as lines of a file's head; names of bags may hold line breaks."""
     return [line for point in points for line in wrap(
@@ -550,7 +554,7 @@ def _corrected_numbers(found: Found, settings: Settings, rig: dict, missing: lis
                        ) -> list[str]:
     """Put the found numbers into the tree of the rig; return what was changed, in words."""
     findings = {finding.key: finding for finding in (*found.rig_data, *found.rig_within)}
-    values, refused = corrected(settings.rig, {
+    values, refused = corrected(settings.rig, fitted_numbers(found, settings.rig) | {
         key: finding.found.value for key, finding in findings.items()})
     missing += [f"rig.{key}: {why}" for key, why in refused.items()]
     rig.update(values)
@@ -561,9 +565,29 @@ def _corrected_numbers(found: Found, settings: Settings, rig: dict, missing: lis
             lines.append(f"rig.{key}: {now}, was {before}"
                          f"{words.in_brackets(findings[key].probability)}")
         else:
-            lines.append(f"rig.{key}: {value:g}, was {getattr(settings.rig, key):g}; "
-                         "makeup_conductance is a part of leakage")
+            lines.append(f"rig.{key}: {value:g}, was {getattr(settings.rig, key):g}; " + (
+                "as a part of leakage" if key == "makeup_conductance" and value == values.get(
+                    "leakage") else "as fitted, within its tolerance"))
     return lines
+
+
+def fitted_numbers(found: Found, rig: Rig) -> dict[str, float]:
+    """Return the numbers of the rig that the last model was fitted with, key -> SI.
+
+    What the config gives both chambers alike stays so.
+    """
+    if found.fitted is None:
+        return {}
+    values = {}
+    for name, value in zip(found.fitted.names, found.fitted.values, strict=True):
+        owner, _, key = name.partition(".")
+        if owner == "rig" and abs(value / getattr(rig, key) - 1.0) > SAME:
+            values[key] = float(value)
+    for pair in (("area_1", "area_2"), ("volume_1", "volume_2")):
+        if getattr(rig, pair[0]) == getattr(rig, pair[1]) and any(key in values for key in pair):
+            both = [values.get(key, getattr(rig, key)) for key in pair]
+            values |= dict.fromkeys(pair, 0.5 * sum(both))
+    return values
 
 
 def _named_physics(found: Found, tree: dict, missing: list[str]) -> list[str]:

@@ -170,9 +170,18 @@ def answered(rounds: list["Round"], planner: "Planner", out: Path, command: str,
 
 def finish(rounds: list["Round"], out: Path, targets: Sequence[Path | None]) -> str:
     """Say what was found and written; return why the experiment was aborted, or ""."""
+    from eha_monitor.identify.experiment import DECIDED
+    from eha_monitor.quantity import SYMBOLS, with_uncertainty
+
     last, bags = rounds[-1], bags_of(rounds, out)
     if (found := last_of(rounds)) is not None:
-        click.echo(found.message)
+        decided = last.end == DECIDED
+        click.echo(found.message if decided else f"not decided, most probable: {found.message}")
+        for name, value in found.after.items():
+            click.echo(f"{SYMBOLS.get(name, name)}: "
+                       f"{with_uncertainty(value.value, value.stddev, value.unit)}")
+        for one in found.rig_within:
+            click.echo(f"rig data: {one.statement}")
     for path in filter(None, (*bags, *targets)):
         if path.exists():
             click.echo(f"written: {path}")

@@ -52,6 +52,7 @@ class Lines:
     rig: list[Entry]
     effects: list[Entry]
     choices: list[tuple[str, str]]
+    position_step: float = 0.0
 
 
 def draft_text(source: Source, found: Map, told: Lines, checks: list[str]) -> str:
@@ -70,6 +71,9 @@ def draft_text(source: Source, found: Map, told: Lines, checks: list[str]) -> st
                          ) if source.bag else ""
     if space not in ("", Monitor().namespace):
         lines += ["monitor:", _line(f"  namespace: {space}", "all topics of the bag are in it")]
+    if told.position_step:  # a diagnosis need not find what a data sheet says
+        lines += ["noise:", _line(f"  position_resolution: {number(told.position_step)}",
+                                  "values: the encoder's step")]
     lines += ["channels:"] if source.bag else ["table:"]
     if not source.bag:
         lines += [_line(f"  {key}: {scalar(value)}", "values: how the file is laid out")
@@ -205,7 +209,7 @@ def _lines(source: Source, found: Map, answers: Answers, seen: Seen) -> Lines:
         own, *others = found.machines
         choices = [("x.column", f"columns of several machines: {own}, {', '.join(others)}; {own} "
                     "moves most and is taken"), *choices]
-    return Lines(rig, effects_of(answers, rig, seen), choices)
+    return Lines(rig, effects_of(answers, rig, seen), choices, seen.position_step)
 
 
 def _without_pump(found: Map, answers: Answers) -> Map:

@@ -15,6 +15,7 @@ from eha_monitor.draft.answers import FLOWS, Answers, flow_at
 from eha_monitor.errors import InputError
 from eha_monitor.plausibility.relations import FORWARD
 from eha_monitor.quantity import quantity
+from eha_monitor.recordings.position import quantum
 from eha_monitor.settings.load import scalar
 from eha_monitor.settings.rig import Rig
 
@@ -90,6 +91,7 @@ class Seen:
     charge: float | None = None  # the mean of both pressures
     pump_over_area: float | None = None  # m of travel per rad of the pump, D_p/A
     span: tuple[float, float] | None = None  # the lowest and the highest position
+    position_step: float = 0.0  # of the encoder
 
 
 def number(value: float) -> str:
@@ -461,6 +463,7 @@ def seen_in(recording) -> Seen:
     """Return what a recording, in SI, shows of its rig."""
     step = recording.sample_time
     gain = charge = ratio = span = None
+    x = recording.get("x") if recording.has("x") else np.empty(0)
     if recording.has("x") and np.isfinite(recording.get("x")).any():
         span = float(np.nanmin(recording.get("x"))), float(np.nanmax(recording.get("x")))
     if recording.has("omega", "x", "x_d"):
@@ -472,7 +475,7 @@ def seen_in(recording) -> Seen:
         turned = np.nancumsum(np.nan_to_num(recording.get("omega"))) * step
         fit = _slope(_trendless(recording.get("x")), _trendless(turned))
         ratio = fit[0] if fit and fit[1] > FITS else None
-    return Seen(step, gain, charge, ratio, span)
+    return Seen(step, gain, charge, ratio, span, quantum(x[np.isfinite(x)]) if len(x) else 0.0)
 
 
 def _trendless(values: np.ndarray) -> np.ndarray:

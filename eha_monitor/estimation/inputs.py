@@ -18,7 +18,7 @@ from eha_monitor.estimation.rig_model import (
     model_for,
     valve_open,
 )
-from eha_monitor.estimation.sensors import noise_levels, quantum, undo_sensors, without_spikes
+from eha_monitor.estimation.sensors import noise_levels, undo_sensors, without_spikes
 from eha_monitor.estimation.stage_one import RowsOne
 from eha_monitor.estimation.stage_two import RowsTwo
 from eha_monitor.physics import signals as s
@@ -26,6 +26,7 @@ from eha_monitor.physics.contributions import circuit_of
 from eha_monitor.physics.parameters import theta_of
 from eha_monitor.recordings import columns
 from eha_monitor.recordings.columns import Table
+from eha_monitor.recordings.position import quantum
 from eha_monitor.recordings.recording import Recording, rows_of, sample_of
 from eha_monitor.settings.monitor import Settings
 

@@ -6,6 +6,7 @@ import numpy as np
 
 from eha_monitor.estimation.results import NoiseEstimate
 from eha_monitor.physics import signals as s
+from eha_monitor.recordings.position import quantum
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings.monitor import NoiseLevels
 
@@ -23,23 +24,6 @@ SPIKE_SPAN, SPIKE_SIGMAS = 10.0, 30.0
 
 _LEVEL_OF = {"x": "position", "v": "velocity", "p1": "pressure", "p2": "pressure",
              "omega": "pump_speed", "force": "force", "temperature": "temperature"}
-
-
-def quantum(values: np.ndarray) -> float:
-    """Return the step of a quantised channel, or 0 where it is continuous.
-
-    ``values`` : (n,) finite samples.
-    """
-    steps = np.abs(np.diff(values[:20000]))
-    scale = np.abs(values).max(initial=0.0)
-    steps = steps[steps > 1e-12 * scale]
-    if len(steps) < 8:
-        return 0.0
-    smallest = steps.min()
-    if steps.max() > 1e6 * smallest:
-        return 0.0
-    off = np.abs(steps / smallest - np.round(steps / smallest))
-    return float(smallest) if (off < 0.02).all() and (steps < 1.5 * smallest).any() else 0.0
 
 
 def white_noise(values: np.ndarray) -> float:

@@ -143,7 +143,6 @@ def adopted_before(path: Path, settings: Settings) -> Adopted | None:
 
 WALL = 10.0  # times its processor time: then it hangs
 QUANTISATION = "position_quantisation"
-FOUND = ("effects", "rig_data", "learned")  # what a diagnosis puts into a config
 _NO_MEMORY = ("MemoryError", "Memory allocation", "Cannot allocate memory")
 
 
@@ -218,17 +217,26 @@ class Answer:
 
     @property
     def probability(self) -> float:
-        """Least probability of an effect, one less that of an unnamed one; NaN without effects.
+        """Least probability of what is named, one less that of what has no name.
 
-        A learned term has no name, so no probability either; a resolution is read off the
-        samples and has none.
+        A learned term has no name, so no probability either: NaN.
         """
-        found = [one.get("probability") for one in self.tree.get("effects", [])
-                 if one.get("name") != QUANTISATION]
-        if not found or None in found or self.tree.get("learned"):
+        found = [one.get("probability") for one in self._named]
+        if None in found or self.tree.get("learned"):
             return math.nan
         unnamed = (self.tree.get("probability") or {}).get("unexplained") or 0.0
-        return min(*found, 1.0 - unnamed)
+        return min([*found, 1.0 - unnamed])
+
+    @property
+    def names(self) -> bool:
+        """Whether it names why the model does not fit, or has learned it."""
+        return bool(self._named or self.tree.get("learned"))
+
+    @property
+    def _named(self) -> list[dict]:
+        """Effects and numbers of the rig; a resolution is read off the samples and no reason."""
+        return [one for kind in ("effects", "rig_data") for one in self.tree.get(kind, [])
+                if one.get("name") != QUANTISATION]
 
 
 class Diagnosing:
@@ -241,6 +249,7 @@ class Diagnosing:
     def __init__(self, bags: Sequence[Path], settings: Settings, folder: Path,
                  further: Sequence[str] = ()):
         self._budget, self._folder = settings.diagnosis, folder.absolute()
+        self._model = model_of(settings)
         self._bags = tuple(bag.absolute() for bag in bags)
         config, self._log = self._folder / "config.yaml", self._folder / "diagnose.log"
         try:
@@ -291,8 +300,9 @@ class Diagnosing:
             return
         try:
             tree = json.loads((self._folder / "diagnosis.json").read_text(encoding="utf-8"))
-            completed = load_settings(self._folder / "completed.yaml") if any(
-                tree.get(kind) for kind in FOUND) else None
+            completed = load_settings(self._folder / "completed.yaml")
+            if model_of(completed) == self._model:
+                completed = None
         except (OSError, ValueError, KeyError, InputError) as problem:
             self.answer = self._failed(f"left no answer: {problem}")
             return
@@ -348,7 +358,7 @@ def effects_in_words(answer: Answer) -> str:
           for one in tree.get("effects", []) if one["name"] not in lacking),
         *(f"rig.{one['key']}" for one in tree.get("rig_data", [])),
         *(f"a learned term of the {one['balance']} balance" for one in tree.get("learned", []))
-    ]) or "B and beta_e as found"
+    ]) or "the numbers of the config as fitted"
     return words + (f" (without {listed(lacking)}, which no config holds)" if lacking else "")
 
 

@@ -495,6 +495,7 @@ class Diagnosis:
                        message=f"{said}; in the state since: {self.message}")
 
 
+QUANTISATION = "position_quantisation"
 NOTABLE = 0.02  # relative change of a health parameter that is worth a sentence
 BALANCE_OF = {"B": "force", "beta_e": "flow"}
 HEALTH_WORDS = {"B": "B", "beta_e": "the effective bulk modulus"}
@@ -505,8 +506,10 @@ def health_sentences(before: dict[str, Value], after: dict[str, Value],
     """Return in plain words what the mismatch did to the health estimates.
 
     Stage one reads B from the force balance: what the flow lacks bends only the nominal model's.
+    An encoder's step is noise, and bends nothing.
     """
     found = []
+    effects = [effect for effect in effects if effect.name != QUANTISATION]
     plant = [effect for effect in effects if effect.balance in ("force", "flow")] or list(effects)
     for name, first in before.items():
         if name not in after or not effects:

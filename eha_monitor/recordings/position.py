@@ -1,4 +1,4 @@
-"""What no piston does: a position whose sensor drops out, jumps or breaks into noise.
+"""The step of a position, and what no piston does: dropping out, jumping, breaking into noise.
 
 A mass needs several samples to gain speed, so one step of a position among steps a tenth of it is
 no motion.  Away and soon back again the sensor has dropped out; away for good it has lost counts,
@@ -26,6 +26,23 @@ BLOCK_S, FEWEST = 0.1, 16  # s and least samples over which noise is taken
 NOISIER, LOUD = 30.0, 0.02  # times what is usual, and of the motion
 SELDOM = 0.4  # of the blocks: what is usual is no fault of a moment
 ORDER = 3  # of the differences: they leave little of a motion
+
+
+def quantum(values: np.ndarray) -> float:
+    """Return the step of a quantised channel, or 0 where it is continuous.
+
+    ``values`` : (n,) finite samples.
+    """
+    steps = np.abs(np.diff(values[:20000]))
+    scale = np.abs(values).max(initial=0.0)
+    steps = steps[steps > 1e-12 * scale]
+    if len(steps) < 8:
+        return 0.0
+    smallest = steps.min()
+    if steps.max() > 1e6 * smallest:
+        return 0.0
+    off = np.abs(steps / smallest - np.round(steps / smallest))
+    return float(smallest) if (off < 0.02).all() and (steps < 1.5 * smallest).any() else 0.0
 
 
 class Astray(NamedTuple):

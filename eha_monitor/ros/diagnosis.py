@@ -115,6 +115,7 @@ class SelfDiagnosis:
         self._ended_s = -np.inf  # when the last diagnosis of it ended
         # what the last diagnosis says of the mismatch that stands; None before one
         self._of_mismatch: Answer | None = None
+        self._diagnosed: set[str] = set()  # stages that did not fit when that was begun
         self._same: list[Path] = []  # bags of this mismatch, of one state as far as is known
         self._saved_ns: int | None = None  # where the last of them ends
 
@@ -175,6 +176,10 @@ class SelfDiagnosis:
             return
         if self._since_s is None:
             self._since_s = min(one.since_s for one in model.mismatches)
+        grown = [one.since_s for one in model.mismatches if one.stage not in self._diagnosed]
+        if grown and self._diagnosed and TURN.holder is not self:
+            self._over()  # another stage than was diagnosed: something else has come
+            self._since_s = min(grown)
         wanted = self._settings.diagnosis
         wait = min(wanted.after * 2**self._tries, LONGEST_S)
         if (wanted.start == AUTOMATIC and not self._left_to_machine
@@ -302,6 +307,7 @@ class SelfDiagnosis:
         TURN.take(self)
         self._by, self._saving, self._waits = by, True, ""
         self._tries += 1
+        self._diagnosed = {one.stage for one in self._model.mismatches}
         since_ns = self._saved_ns + 1 if self._saved_ns is not None else (
             0 if self._since_s is None else self._log_ns(self._since_s))
         self._tell(f"diagnosis begun {_BY[by]}")
@@ -351,8 +357,9 @@ class SelfDiagnosis:
         else:
             self._answer = answer
             self._of_mismatch = None if self._since_s is None else answer
-            self._explained = self._of_mismatch is not None and self._adoptable() is None
-            if answer.completed is None:
+            self._explained = (self._of_mismatch is not None and answer.names
+                               and self._adoptable() is None)
+            if not answer.names:
                 # They may hold the change itself, or are the machine before it; what comes after
                 # is diagnosed by itself.
                 self._same.clear()
@@ -387,6 +394,8 @@ class SelfDiagnosis:
         if self._answer is None:
             return "nothing to adopt: there is no diagnosis"
         completed = self._answer.completed
+        if self._answer.verdict == "consistent" and self._of_mismatch is not self._answer:
+            completed = None  # the model that is in force fits
         if completed is None or model_of(completed) == model_of(self.in_force):
             return f"nothing to adopt: the verdict is {self._answer.verdict}" + (
                 "" if completed is None else ", and the model in force is the one that was found")

@@ -13,7 +13,8 @@ from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
 from eha_monitor.errors import InputError
-from eha_monitor.identify.experiment import CHANNELS, HELD, Ran, Rig, Watch, held
+from eha_monitor.identify.experiment import CHANNELS, FOLLOWS, HELD, Ran, Rig, Watch, held
+from eha_monitor.quantity import quantity
 from eha_monitor.recordings.read import read_recording
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.recordings.write import BagWriter
@@ -32,6 +33,8 @@ PATIENCE = 30.0  # s that a rig has to appear
 STALLED = 0.1  # s that a command may be overdue: what the rig missed would come as a jump
 ENDING = 5.0  # s in which what has come of an interrupted motion is written
 TAIL = 0.2  # s for which what comes is still recorded after a motion
+LATE = 0.3  # s after which a piston must have begun to follow
+OFF = 0.02  # of the travel by which a piston at rest may be off where it is held
 COMMAND = "command"
 
 
@@ -44,12 +47,28 @@ class Job:
     end_ns: int  # stamp up to which what comes is recorded
     watch: Watch
     sent: int = 0
+    low: float = np.inf  # of the positions that came, m; ``high`` likewise
+    high: float = -np.inf
     # topic and type -> (received ns, message)
     kept: dict[tuple[str, str], list[tuple[int, bytes]]] = field(default_factory=dict)
     # aborted, asked: why it ends early, and whether somebody asked for it
     aborted: str = ""
     asked: bool = False
     done: threading.Event = field(default_factory=threading.Event)
+
+
+    def lags(self, now_ns: int, dt_ns: int, least: float) -> str:
+        """Return that the piston does not follow what was demanded ``LATE`` s ago, or "".
+
+        Not before ``least`` m are demanded.
+        """
+        due = self.x_d[:max((now_ns - self.start_ns) // dt_ns - round(1e9 * LATE) // dt_ns, 0)]
+        asked = float(np.ptp(due)) if len(due) else 0.0
+        came = self.high - self.low
+        if not asked > least or not came < FOLLOWS * asked:
+            return ""
+        return (f"the piston moves by {quantity(came, 'm', 2)} where {quantity(asked, 'm', 2)} "
+                "are demanded, expected one that follows the command")
 
 
 class RosRig:
@@ -142,7 +161,9 @@ class RosRig:
         """Hold the position sent last; returns whether a motion was under way.
 
         What was sent is on its way, up to ``command_lead`` s of it: a rig that queues commands by
-        their stamps does it yet, and would jump back to any earlier position.
+        their stamps does it yet, and would jump back to any earlier position.  But a piston that
+        does not come there, as it is blocked or off, is held where it is: else its pump would go
+        on against it (:meth:`_turn`).
         """
         job, now = self._job, self._node.get_clock().now().nanoseconds
         if job is None or job.aborted:
@@ -170,6 +191,9 @@ class RosRig:
         self._take(job)
         if (job is None or job.aborted) and np.isfinite(self._demanded) and (
                 time.monotonic() - self._told >= HOLDING):
+            off = OFF * (self._bounds.upper - self._bounds.lower)
+            if job is not None and abs(self._measured - self._demanded) > off:
+                self._demanded = held(self._bounds, self._measured)
             self._hold(self._demanded, now)
         if job is None:
             return
@@ -178,6 +202,9 @@ class RosRig:
         overdue = now - job.start_ns - job.sent * self._dt_ns
         if 0 < job.sent < len(job.x_d) and overdue > STALLED * 1e9:
             self.abort(f"this program stood still: a command is {1e-9 * overdue:.2f} s late")
+        if not job.aborted and (why := job.lags(now, self._dt_ns, OFF * (
+                self._bounds.upper - self._bounds.lower))):
+            self.abort(why)
         silent = [name for name, at in self._heard.items()
                   if time.monotonic() - at > self._bounds.silence]
         if silent and not job.aborted:
@@ -208,8 +235,12 @@ class RosRig:
                     if name in CHANNELS and np.isfinite(values).any()}
                 self._heard |= dict.fromkeys(shown, now)
                 if "x" in shown:
-                    self._measured = float(shown["x"][np.isfinite(shown["x"])][-1])
+                    there = shown["x"][np.isfinite(shown["x"])]
+                    self._measured = float(there[-1])
                     self.seen.set()
+                    if job is not None:
+                        job.low = min(job.low, float(there.min()))
+                        job.high = max(job.high, float(there.max()))
                 if job is not None and not job.aborted and (why := job.watch.exceeded(
                         shown, 1e-9 * batch.stamps if each.reader.stamped else None)):
                     self.abort(why)

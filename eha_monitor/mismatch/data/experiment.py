@@ -14,7 +14,6 @@ from eha_monitor.estimation.rig_model import force_of
 from eha_monitor.estimation.sensors import (
     PRESSURE_ERRORS,
     noise_levels,
-    quantum,
     true_pressure,
     without_spikes,
 )
@@ -39,6 +38,7 @@ from eha_monitor.physics.parameters import theta_of
 from eha_monitor.physics.plant import N_OUTPUTS, STEP_DECAY
 from eha_monitor.physics.signals import K_POS
 from eha_monitor.recordings.grid import filled
+from eha_monitor.recordings.position import quantum
 from eha_monitor.recordings.recording import Recording, between_stops, rows_of, sample_of
 from eha_monitor.settings.monitor import Settings
 
