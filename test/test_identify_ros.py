@@ -11,6 +11,7 @@ from sensor_msgs.msg import JointState
 
 from eha_monitor.errors import InputError
 from eha_monitor.ros.identify_node import RosRig
+from eha_monitor.ros.messages import joint_state
 from eha_monitor.settings import load_settings
 
 DT = 1e-3
@@ -94,6 +95,23 @@ def test_motion_abort_at_a_limit_by_the_service_and_without_data(graph, tmp_path
         end(simulator)
         ran = graph.until(lambda: silent)[0]
     assert "nothing came of" in ran.aborted and not ran.asked
+
+
+def test_a_piston_that_does_not_follow_is_held_where_it_is(graph, tmp_path):
+    """A pump would go on against a blocked one, and one that is off jump when it is on."""
+    settings, stands, sent = load_settings("config/identify.yaml"), 0.002, []
+    rig = RosRig(graph.node("identify", "/eha"), settings, settings.experiment, tmp_path)
+    blocked = graph.node("blocked", "/eha")
+    shown = blocked.create_publisher(JointState, "joint_states", 100)
+    blocked.create_timer(0.01, lambda: shown.publish(joint_state(
+        blocked.get_clock().now().nanoseconds, "piston", stands, np.nan)))
+    blocked.create_subscription(JointState, "command", sent.append, 1000)
+    asked = Asked(graph, rig)
+    assert asked(rig.position) == pytest.approx(stands)
+    ran = asked(rig.run, sine(stands, 0.03, 0.5, 4.0), "motion_01")
+    assert "expected one that follows the command" in ran.aborted and not ran.asked
+    assert max(one.position[0] for one in sent) < stands + 0.03  # before it was all demanded
+    graph.until(lambda: sent[-1].position[0] == pytest.approx(stands, abs=1e-9))
 
 
 def test_an_interrupted_motion_is_held_and_written(graph, tmp_path):

@@ -186,15 +186,20 @@ def config_effects(experiment: Experiment, fit: Fit, names: tuple[str, ...],
                    own: tuple[str, dict] | None = None) -> dict[str, dict[str, float]]:
     """Return the ``effects:`` section: what the config had, those named, a term of its ``own``.
 
-    A law of the config that a named one contains and has taken the place of is in it no more.
+    As fitted, the config's within their tolerance.  A law of the config that a named one contains
+    and has taken the place of is in it no more.
     """
-    gone = replaced(experiment, fit)
+    gone, fitted = replaced(experiment, fit), {one.name for one in fit.free}
     found = {name: dict(values) for name, values in experiment.settings.effects.items()
              if name not in gone}
-    for name in (name for name in fit.named if name in names):
+    for name in (*found, *(name for name in fit.named if name in names)):
+        if name not in NAMES:
+            continue
         values = effect_values(fit.theta, name)
-        found[name] = {p.name: float(min(max(values[p.name], p.lower), p.upper))
-                       for p in CATALOGUE[name].parameters}
+        found[name] = found.get(name, {}) | {
+            p.name: float(min(max(values[p.name], p.lower), p.upper))
+            for p in CATALOGUE[name].parameters
+            if name in fit.named or f"{name}.{p.name}" in fitted}
     if own is not None:
         (plain, entry), more = own, 2
         name = plain
