@@ -150,6 +150,16 @@ def init(capsys, *words):
     return status, out, err
 
 
+def test_the_step_of_an_encoder_is_in_the_config(tmp_path):
+    """A diagnosis then has no step to find, and to call a mismatch."""
+    rows = Recording(1e-3, SEEN | {"x": 2e-6 * np.round(SEEN["x"] / 2e-6)}, START)
+    write_recording(tmp_path / "a", rows, Settings())
+    for bag, step in ((tmp_path / "a", 2e-6), (ROOT / "bags/air_ingress", 0.0)):
+        out = tmp_path / f"{bag.name}.yaml"
+        assert main(["init", str(bag), "--yes", "--out", str(out), *sets(*SHEET)]) == 0
+        assert load_settings(out).noise.position_resolution == pytest.approx(step)
+
+
 def test_a_german_file_with_a_data_sheet(tmp_path, capsys):
     status, out, _ = init(capsys, german(tmp_path / "a.csv"), "--yes", *sets(*SHEET))
     assert status == 0

@@ -6,11 +6,14 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from mismatch_tools import case_of, diagnosed, fitted, recorded
+from rig_tools import MULTISINE, settings, simulated
 
+from eha_monitor.api.diagnose import completed
 from eha_monitor.balances.answer import Asked, first_answer
 from eha_monitor.balances.policy import POLICY as OF_BALANCES
 from eha_monitor.concealed.cases import Case
 from eha_monitor.estimation.hold_choice import HoldDecision, other_hold, with_hold
+from eha_monitor.estimation.pipeline import estimate
 from eha_monitor.mismatch.answer import held_command, is_answer, verdict_of
 from eha_monitor.mismatch.beside_balances import contradicted, explains_more
 from eha_monitor.mismatch.data.experiment import experiment_of
@@ -477,3 +480,20 @@ def test_friction_of_the_config_whose_law_is_another_gives_way():
     # Beside the config's 30 N: not all of the friction was missing in B.
     assert found.before["B"].value < 600.0 + 0.6 * (
         diagnose([replace(recording, channels=few)], settings).before["B"].value - 600.0)
+
+
+def test_a_config_within_its_tolerances_is_written_as_the_filters_need_it():
+    """A pump that is 1 % off, known to 3 %: consistent, and stage two off by 276 times."""
+    given = settings()
+    pump = 1.01 * given.rig.pump_displacement
+    recording = simulated({**MULTISINE, "frequency_end": 4.0}, 8.0,
+                          rig={"pump_displacement": pump}).recording(0)
+    found = diagnose([recording], given)
+    assert found.verdict == "consistent"
+    made, changed, _ = completed(found, given)
+    assert made.rig.pump_displacement / made.rig.area_1 == pytest.approx(
+        pump / given.rig.area_1, rel=2e-3)
+    assert made.rig.area_1 == made.rig.area_2 and made.rig.volume_1 == made.rig.volume_2
+    assert any(line.startswith("rig.pump_displacement") for line in changed)
+    before, after = (estimate(recording, one).stage_two.consistency.nis for one in (given, made))
+    assert after < 0.1 * before
