@@ -4,13 +4,14 @@ from dataclasses import replace
 
 import pytest
 from mismatch_tools import recorded
+from rig_tools import MULTISINE, settings, simulated
 from strangers.draw import draw_rig
 from strangers.generate import record, settings_of, truth_of
 
 from eha_monitor.balances.answer import Asked, first_answer
 from eha_monitor.concealed.cases import Case
 from eha_monitor.mismatch.advise.advice import advise
-from eha_monitor.mismatch.beside_balances import needs_fewer
+from eha_monitor.mismatch.beside_balances import differ_in_damping, needs_fewer
 from eha_monitor.mismatch.diagnose import FINER, diagnose
 from eha_monitor.mismatch.diagnosis import NamedEffect, Value
 
@@ -93,3 +94,15 @@ def test_sensors_that_a_filter_calls_wrong_are_right_where_fewer_names_are_neede
     assert needs_fewer(found, first, [recording], settings, asked) == fewer
     assert not needs_fewer(replace(found, effects=first.effects), first, [recording], settings,
                            asked)
+
+
+def test_recordings_of_another_damping_each_are_no_filter_s_to_explain():
+    """Five healthy ones of a stranger, B 5 % apart, took 12 minutes; two were "unexplained"."""
+    given = settings()
+    warm = [replace(simulated(MULTISINE, 8.0, rig={"viscous_damping": 600.0 * share}).recording(k),
+                    source=f"day {k}") for k, share in enumerate((1.0, 0.95))]
+    assert differ_in_damping(first_answer(warm, given, Asked(None, None, (), (), False)))
+    found = diagnose(warm, given)
+    assert found.verdict == "consistent" and found.wall_s < 10.0
+    alike = [warm[0], replace(simulated(MULTISINE, 8.0).recording(7), source="again")]
+    assert not differ_in_damping(first_answer(alike, given, Asked(None, None, (), (), False)))

@@ -6,6 +6,7 @@ force on unseen data decides, and which needs fewer names.
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
@@ -86,6 +87,21 @@ def drifts(found: Diagnosis) -> bool:
     """Tell whether damping changes while a recording runs, as no law of a filter does."""
     return found.drift is not None and "B" in found.after and (
         abs(found.drift.value) > POLICY.between * found.after["B"].value)
+
+
+def differ_in_damping(found: Diagnosis | None) -> bool:
+    """Tell whether B is surely another in some of several recordings, as in no model of a filter.
+
+    By ``varied`` deviations and ``worse`` of it: the oil was warmer, and one filter of all would
+    look for minutes for what explains that.
+    """
+    each = [] if found is None else [
+        one.force["B"] for one in found.baselines if one.force is not None]
+    known = [one for one in each if one.determined]
+    return any(abs(one.value - other.value) > max(
+        POLICY.varied * float(np.hypot(one.stddev, other.stddev)),
+        POLICY.worse * max(abs(one.value), abs(other.value)))
+        for one, other in combinations(known, 2))
 
 
 def force_is_closed(found: Diagnosis) -> bool:

@@ -17,6 +17,7 @@ from eha_monitor.mismatch.answer import assemble, verdict_of
 from eha_monitor.mismatch.beside_balances import (
     Filtered,
     agrees_closely,
+    differ_in_damping,
     far_from_config,
     force_is_closed,
     instead_of_filter,
@@ -121,8 +122,9 @@ def _diagnosed(recordings: list[Recording], settings: Settings, held_out: Record
     asked = Asked(held_out, None, without, vary, known is not None)
     first = first_answer(recordings, settings, asked)
     far = hypothesis is None and far_from_config(first)
-    # Several say more together than a filter of one law can.
-    if far and first.machine is not None and known is None:
+    # Several say more together than a filter of one law can, or of one damping.
+    if hypothesis is None and known is None and (
+            (far and first.machine is not None) or differ_in_damping(first)):
         return Answered(by_first(first, started), None, False)
     # What least squares say stands where no set of laws brings a filter near the recording; of
     # motions too quick for their band they say nothing.
