@@ -117,12 +117,12 @@ def message_of(verdict: str, changes: Sequence[Change], judged: Judged, runs: st
 
     Parameters
     ----------
-    small : statements of what surely differs but is too small to matter.
+    small : statements of what surely differs but is too small to matter; beside a change nobody
+        needs them.
     nearest : those of what fits best and explains nothing.
     """
     if changes:
         said = "; ".join(one.statement + _or_a_sensor(one) for one in changes)
-        said = f"{said}; what else differs is small: {'; '.join(small)}" if small else said
         return "; ".join([said, *(
             f"what has come as well is {one.curve.term.sentence}" if one.curve is not None else
             f"{_left(one)}: something else has changed as well" for one in judged.balances
