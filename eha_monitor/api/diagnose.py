@@ -512,7 +512,8 @@ def completed(found: Found, settings: Settings) -> tuple[Settings, list[str], li
     if found.command_hold != settings.command_hold:
         tree["command_hold"] = found.command_hold
         changed.append(f"command_hold: {found.command_hold}")
-    if found.verdict in ("consistent", "mismatch") or found.learned:
+    if found.verdict == "mismatch" or found.learned or (
+            found.verdict == "consistent" and found.fitted is not None):
         changed += _corrected_numbers(found, settings, tree["rig"], missing)
         changed += _named_physics(found, tree, missing)
         known = [*filter(None, settings.rig.identified.split(", ")),
@@ -566,8 +567,8 @@ def _corrected_numbers(found: Found, settings: Settings, rig: dict, missing: lis
                          f"{words.in_brackets(findings[key].probability)}")
         else:
             lines.append(f"rig.{key}: {value:g}, was {getattr(settings.rig, key):g}; " + (
-                "as a part of leakage" if key == "makeup_conductance" and value == values.get(
-                    "leakage") else "as fitted, within its tolerance"))
+                "makeup_conductance is a part of leakage" if value == rig["leakage"]
+                and key == "makeup_conductance" else "as fitted, within its tolerance"))
     return lines
 
 
